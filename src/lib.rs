@@ -1,0 +1,8 @@
+//! `pnet-nat`: the NAT router of P-NET on IP (IEC PAS 62412).
+//!
+//! A remote client reaches a server node of a plant at *public address : start port + node
+//! address*. This crate checks every datagram, passes it to the node's Secure UDP port, keeps the
+//! way back, and counts everything. The binary is a thin shell around these modules; reading
+//! order for newcomers: [`wire`], [`relay`], [`net`], then the rest.
+
+pub mod wire;

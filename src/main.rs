@@ -1,0 +1,3 @@
+//! `pnet-nat`: parses the command line and does what it says.
+
+fn main() {}

@@ -1,0 +1,337 @@
+//! The P-NET-route in front of a P-NET package: the checked view and its owned form.
+//!
+//! What a route means to the sender and the receiver (DL-routes) is in `dl_route`. To keep in
+//! mind: a `Route` exists only for octets that follow one of the five formats, 2 to 30 of them.
+
+use arrayvec::ArrayVec;
+
+use super::MAX_ROUTE;
+
+/// Bit 8 of a route octet, the designator: set for a source, clear for a destination.
+pub(super) const SOURCE: u8 = 0x80;
+/// Bits 1 to 7 of a route octet: the element's value.
+pub(super) const ELEMENT: u8 = 0x7F;
+
+/// Where octets stand in a route longer than two octets.
+mod field {
+    use std::ops::{RangeFrom, RangeTo};
+
+    /// IPNetID and node address, in a route over IP.
+    pub(super) const FIRST_TWO: RangeTo<usize> = ..2;
+    /// The elements behind the first two, without a remaining-route-length.
+    pub(super) const REST: RangeFrom<usize> = 2..;
+    /// The elements behind the remaining-route-length, which is the third octet.
+    pub(super) const REMAINING: RangeFrom<usize> = 3..;
+}
+
+/// Octets that can follow the remaining-route-length.
+const MAX_REMAINING: usize = MAX_ROUTE - field::REMAINING.start;
+
+/// The five formats of a route, told apart by its designators (PAS 5.5.2.1, 5.6.1.1.1).
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum RouteFormat {
+    /// One destination, one source.
+    Simple,
+    /// Two destinations, two sources.
+    Extended,
+    /// Two or more destinations, a remaining-route-length behind the second, one source.
+    Complex,
+    /// A source first: the answer of a half-duplex bus.
+    Immediate,
+    /// As [`Complex`](Self::Complex), with two or more sources: that is how UDP tells them apart.
+    Ip,
+}
+
+/// Why octets do not begin with a route.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum RouteError {
+    /// The octets end inside the route.
+    #[error("the octets end inside the route")]
+    Truncated,
+    /// The third octet, a destination, is no remaining-route-length.
+    #[error("the remaining-route-length is {0}, not 1 to {MAX_REMAINING}")]
+    RemainingLength(u8),
+    /// A destination stands behind a source.
+    #[error("a destination element stands behind a source element")]
+    DestinationAfterSource,
+    /// All elements are destinations.
+    #[error("the route has no source element")]
+    NoSource,
+}
+
+/// A route: a view of checked octets, 2 to 30 of them (PAS 5.5.2.1).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Route<'a> {
+    octets: &'a [u8],
+    format: RouteFormat,
+}
+
+impl<'a> Route<'a> {
+    /// Takes the route at the front of `octets` and leaves the rest. The designators tell the
+    /// format and with it the end of the route (R-21..R-25).
+    ///
+    /// A remaining-route-length is believed whatever the number of elements, also where route
+    /// generation would have left it out.
+    #[inline]
+    pub fn parse(octets: &'a [u8]) -> Result<Self, RouteError> {
+        match *octets {
+            // PAS is silent about the second octet: it stays what it is.
+            [first, _, ..] if is_source(first) => take(octets, 2, RouteFormat::Immediate),
+            [_, second, ..] if is_source(second) => take(octets, 2, RouteFormat::Simple),
+            [_, _, third, ref rest @ ..] if is_source(third) => match *rest {
+                [fourth, ..] if is_source(fourth) => take(octets, 4, RouteFormat::Extended),
+                [_, ..] => Err(RouteError::DestinationAfterSource),
+                [] => Err(RouteError::Truncated),
+            },
+            [_, _, remaining, ref rest @ ..] => {
+                let format = format_of_remaining(remaining, rest)?;
+                take(octets, field::REMAINING.start + usize::from(remaining), format)
+            }
+            _ => Err(RouteError::Truncated),
+        }
+    }
+
+    /// Which of the five formats it is.
+    #[inline]
+    pub fn format(&self) -> RouteFormat {
+        self.format
+    }
+
+    /// The octets as they are on the wire.
+    #[inline]
+    pub fn as_bytes(&self) -> &'a [u8] {
+        self.octets
+    }
+
+    /// The destination elements, 7 bits each, in order. The remaining-route-length is not one.
+    #[inline]
+    pub fn destinations(&self) -> impl Iterator<Item = u8> + use<'a> {
+        self.elements().filter(|&octet| !is_source(octet))
+    }
+
+    /// The source elements, 7 bits each, in order.
+    #[inline]
+    pub fn sources(&self) -> impl Iterator<Item = u8> + use<'a> {
+        self.elements().filter(|&octet| is_source(octet)).map(|octet| octet & ELEMENT)
+    }
+
+    /// The IP net that the datagram goes to: the first destination of a route of Extended or IP
+    /// format.
+    #[inline]
+    pub fn ip_net_id(&self) -> Option<u8> {
+        self.ip_destination().map(|[ip_net_id, _]| ip_net_id)
+    }
+
+    /// The node that the datagram goes to: the second destination of a route of Extended or IP
+    /// format.
+    #[inline]
+    pub fn node_address(&self) -> Option<u8> {
+        self.ip_destination().map(|[_, node_address]| node_address)
+    }
+
+    #[inline]
+    fn ip_destination(&self) -> Option<[u8; 2]> {
+        match self.format {
+            RouteFormat::Extended | RouteFormat::Ip => self.octets.first_chunk().copied(),
+            RouteFormat::Simple | RouteFormat::Complex | RouteFormat::Immediate => None,
+        }
+    }
+
+    /// All elements with their designators, without the remaining-route-length.
+    #[inline]
+    fn elements(&self) -> impl Iterator<Item = u8> + use<'a> {
+        let rest = match self.format {
+            RouteFormat::Complex | RouteFormat::Ip => field::REMAINING,
+            RouteFormat::Simple | RouteFormat::Extended | RouteFormat::Immediate => field::REST,
+        };
+        self.octets[field::FIRST_TWO].iter().chain(&self.octets[rest]).copied()
+    }
+}
+
+/// A route that owns its octets; route generation makes it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct RouteBuf {
+    octets: ArrayVec<u8, MAX_ROUTE>,
+    format: RouteFormat,
+}
+
+impl RouteBuf {
+    /// `octets` must be a route of this `format`.
+    pub(super) fn new(octets: ArrayVec<u8, MAX_ROUTE>, format: RouteFormat) -> Self {
+        Self { octets, format }
+    }
+
+    /// The route as a view.
+    #[inline]
+    pub fn as_route(&self) -> Route<'_> {
+        Route { octets: &self.octets, format: self.format }
+    }
+}
+
+#[inline]
+fn is_source(octet: u8) -> bool {
+    octet & SOURCE != 0
+}
+
+#[inline]
+fn take(octets: &[u8], len: usize, format: RouteFormat) -> Result<Route<'_>, RouteError> {
+    let octets = octets.get(..len).ok_or(RouteError::Truncated)?;
+    Ok(Route { octets, format })
+}
+
+/// Complex or IP, from the `remaining` octets at the front of `rest`: destinations, if any, then
+/// at least one source.
+#[inline]
+fn format_of_remaining(remaining: u8, rest: &[u8]) -> Result<RouteFormat, RouteError> {
+    let count = usize::from(remaining);
+    if count == 0 || count > MAX_REMAINING {
+        return Err(RouteError::RemainingLength(remaining));
+    }
+    let elements = rest.get(..count).ok_or(RouteError::Truncated)?;
+
+    // Without a branch an element: the designators of a stranger's route are not predictable.
+    let (mut previous, mut misplaced, mut sources) = (0, 0, 0);
+    for &octet in elements {
+        misplaced |= previous & !octet;
+        previous = octet;
+        sources += octet >> 7;
+    }
+    if is_source(misplaced) {
+        return Err(RouteError::DestinationAfterSource);
+    }
+    match sources {
+        0 => Err(RouteError::NoSource),
+        1 => Ok(RouteFormat::Complex),
+        _ => Ok(RouteFormat::Ip),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn parse(octets: &[u8]) -> Result<Route<'_>, RouteError> {
+        Route::parse(octets)
+    }
+
+    /// A route with its format, destinations and sources, followed by octets that are not its own.
+    #[track_caller]
+    fn reads(octets: &[u8], format: RouteFormat, destinations: &[u8], sources: &[u8]) {
+        for behind in [&[][..], &[0x00], &[0x83, 0x04, 0xFF]] {
+            let longer = [octets, behind].concat();
+            let route = parse(&longer).unwrap();
+            assert_eq!(route.as_bytes(), octets);
+            assert_eq!(route.format(), format);
+            assert!(route.destinations().eq(destinations.iter().copied()), "{route:?}");
+            assert!(route.sources().eq(sources.iter().copied()), "{route:?}");
+        }
+    }
+
+    #[test]
+    fn r22_simple_is_one_destination_and_one_source() {
+        reads(&[0x04, 0x83], RouteFormat::Simple, &[4], &[3]);
+        reads(&[0x7F, 0xFF], RouteFormat::Simple, &[127], &[127]);
+    }
+
+    #[test]
+    fn r23_extended_is_two_destinations_and_two_sources() {
+        reads(&[0x0B, 0x04, 0x8B, 0x83], RouteFormat::Extended, &[11, 4], &[11, 3]);
+    }
+
+    #[test]
+    fn r24_complex_has_one_source_behind_its_length() {
+        reads(&[0x04, 0x02, 0x03, 0x21, 0x05, 0x83], RouteFormat::Complex, &[4, 2, 33, 5], &[3]);
+    }
+
+    #[test]
+    fn r31_immediate_begins_with_a_source_and_keeps_any_second_octet() {
+        reads(&[0x83, 0x04], RouteFormat::Immediate, &[4], &[3]);
+        reads(&[0x83, 0x84], RouteFormat::Immediate, &[], &[3, 4]);
+    }
+
+    #[test]
+    fn r25_pas_figure_9_two_sources_are_ip_on_udp() {
+        reads(&[0x04, 0x02, 0x03, 0x21, 0x83, 0x9F], RouteFormat::Ip, &[4, 2, 33], &[3, 31]);
+    }
+
+    #[test]
+    fn r25_pas_figure_10_names_ip_net_and_node() {
+        let octets = [0x0B, 0x04, 0x05, 0x02, 0x21, 0x8B, 0x83, 0x9F];
+        reads(&octets, RouteFormat::Ip, &[11, 4, 2, 33], &[11, 3, 31]);
+        let route = parse(&octets).unwrap();
+        assert_eq!((route.ip_net_id(), route.node_address()), (Some(11), Some(4)));
+    }
+
+    #[test]
+    fn r25_only_extended_and_ip_name_an_ip_net() {
+        let route = parse(&[0x0B, 0x04, 0x8B, 0x83]).unwrap();
+        assert_eq!((route.ip_net_id(), route.node_address()), (Some(11), Some(4)));
+        for octets in [&[0x04, 0x83][..], &[0x04, 0x02, 0x02, 0x21, 0x83], &[0x83, 0x04]] {
+            let route = parse(octets).unwrap();
+            assert_eq!((route.ip_net_id(), route.node_address()), (None, None), "{route:?}");
+        }
+    }
+
+    #[test]
+    fn r24_a_length_that_generation_would_leave_out_is_believed() {
+        reads(&[0x0B, 0x04, 0x02, 0x8B, 0x83], RouteFormat::Ip, &[11, 4], &[11, 3]);
+        reads(&[0x0B, 0x04, 0x01, 0x83], RouteFormat::Complex, &[11, 4], &[3]);
+    }
+
+    #[test]
+    fn r21_a_route_ends_at_30_octets() {
+        let mut octets = [0x05; 31];
+        octets[2] = 27;
+        octets[29] = 0x83;
+        reads(&octets[..30], RouteFormat::Complex, &[5; 28], &[3]);
+        octets[29..].fill(0x83);
+        octets[2] = 28;
+        assert_eq!(parse(&octets), Err(RouteError::RemainingLength(28)));
+    }
+
+    #[test]
+    fn r24_a_length_of_zero_or_over_27_is_refused() {
+        for remaining in [0, 28, 0x7F] {
+            let mut octets = [0x84; 200];
+            octets[..3].copy_from_slice(&[0x0B, 0x04, remaining]);
+            assert_eq!(parse(&octets), Err(RouteError::RemainingLength(remaining)));
+        }
+    }
+
+    #[test]
+    fn r21_a_destination_behind_a_source_is_refused() {
+        for octets in [
+            &[0x0B, 0x04, 0x8B, 0x03][..],
+            &[0x0B, 0x04, 0x02, 0x8B, 0x03],
+            &[0x0B, 0x04, 0x04, 0x02, 0x8B, 0x03, 0x83],
+            &[0x0B, 0x04, 0x03, 0x8B, 0x83, 0x03],
+        ] {
+            assert_eq!(parse(octets), Err(RouteError::DestinationAfterSource), "{octets:02X?}");
+        }
+    }
+
+    #[test]
+    fn r21_a_route_without_a_source_is_refused() {
+        assert_eq!(parse(&[0x0B, 0x04, 0x01, 0x02, 0x83]), Err(RouteError::NoSource));
+        assert_eq!(parse(&[0x0B, 0x04, 0x03, 0x02, 0x03, 0x04, 0x83]), Err(RouteError::NoSource));
+    }
+
+    #[test]
+    fn r21_every_beginning_of_a_route_is_truncated() {
+        for octets in [
+            &[0x04, 0x83][..],
+            &[0x83, 0x04],
+            &[0x0B, 0x04, 0x8B, 0x83],
+            &[0x04, 0x02, 0x02, 0x21, 0x83],
+            &[0x0B, 0x04, 0x05, 0x02, 0x21, 0x8B, 0x83, 0x9F],
+        ] {
+            for len in 0..octets.len() {
+                assert_eq!(
+                    parse(&octets[..len]),
+                    Err(RouteError::Truncated),
+                    "{octets:02X?} {len}"
+                );
+            }
+        }
+    }
+}
