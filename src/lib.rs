@@ -5,4 +5,5 @@
 //! way back, and counts everything. The binary is a thin shell around these modules; reading
 //! order for newcomers: [`wire`], [`relay`], [`net`], then the rest.
 
+pub mod relay;
 pub mod wire;

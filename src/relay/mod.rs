@@ -1,0 +1,28 @@
+//! The NAT itself, pure: table, flows, upstream sockets, throttle, drop reasons, counters.
+//!
+//! Time and randomness come in as arguments; there is no socket, no clock and no lock here.
+
+mod budget;
+mod check;
+mod core;
+mod counters;
+mod flow;
+mod reason;
+#[cfg(test)]
+mod simulation;
+mod sketch;
+mod table;
+mod throttle;
+mod upstream;
+
+pub use budget::FlowBudget;
+pub use core::{Arrival, Core, Shell, ToClient, ToServer};
+pub use counters::{
+    Counter, Counters, DirectionCounters, NetCounters, NodeCounters, RESPONSE_BUCKETS,
+    ResponseTimes,
+};
+pub use flow::{FlowRecord, ListenerId};
+pub use reason::{CloseReason, Direction, DropReason};
+pub use sketch::SourceSketch;
+pub use table::{Credential, Limits, Mapping, MappingId, Net, NetId, NetKind, Table};
+pub use upstream::{REST, UpstreamId};

@@ -1,0 +1,244 @@
+//! Why a datagram was dropped and why a flow ended: one enum each, behind every label, log text
+//! and table that names a reason.
+
+/// The way a datagram travels.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Direction {
+    /// From a client to a server node.
+    Request,
+    /// From a server node to a client.
+    Response,
+}
+
+impl Direction {
+    /// Both directions, in the order of their counters.
+    pub const ALL: [Self; 2] = [Self::Request, Self::Response];
+
+    /// The value of the metrics' label `direction`.
+    pub const fn label(self) -> &'static str {
+        match self {
+            Self::Request => "request",
+            Self::Response => "response",
+        }
+    }
+
+    /// The reasons for which a datagram of this direction can be dropped.
+    pub const fn drop_reasons(self) -> &'static [DropReason] {
+        match self {
+            Self::Request => &DropReason::REQUEST,
+            Self::Response => &DropReason::RESPONSE,
+        }
+    }
+}
+
+/// Why a datagram was not passed on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum DropReason {
+    /// Fewer octets than the smallest datagram that could be accepted.
+    TooShort,
+    /// More octets than the largest datagram (107).
+    TooLong,
+    /// The four header octets are not the configured ones.
+    BadHeader,
+    /// The route is malformed, or a response's route has a format that IP does not carry.
+    BadRoute,
+    /// The request's route is well formed but Simple, Immediate, or Complex with one source.
+    RouteFormat,
+    /// The data-field-format does not agree with the octets that follow.
+    BadLength,
+    /// The request has no password.
+    PasswordMissing,
+    /// The request's password is none of the net's.
+    PasswordWrong,
+    /// The client's address is in none of the net's allowed networks.
+    SourceNotAllowed,
+    /// The source sent too many wrong passwords and is not listened to for a while.
+    Throttled,
+    /// The node address in the route is not the one of the public port.
+    NodeMismatch,
+    /// The route names a broadcast address (126 or 127) as a destination.
+    Broadcast,
+    /// A new flow would exceed the net's or the router's limit.
+    FlowLimit,
+    /// No upstream socket is free for a new flow to this server.
+    UpstreamExhausted,
+    /// The system refused to send.
+    SendFailed,
+    /// No flow waits for a response on this socket from this server.
+    UnknownFlow,
+    /// The response's password is not the flow's, or is missing where the net requires one.
+    PasswordMismatch,
+}
+
+impl DropReason {
+    /// How many reasons there are.
+    pub const COUNT: usize = 17;
+
+    /// The reasons of requests, in the order of the checks.
+    pub const REQUEST: [Self; 15] = [
+        Self::TooShort,
+        Self::TooLong,
+        Self::BadHeader,
+        Self::BadRoute,
+        Self::RouteFormat,
+        Self::BadLength,
+        Self::PasswordMissing,
+        Self::SourceNotAllowed,
+        Self::Throttled,
+        Self::PasswordWrong,
+        Self::Broadcast,
+        Self::NodeMismatch,
+        Self::FlowLimit,
+        Self::UpstreamExhausted,
+        Self::SendFailed,
+    ];
+
+    /// The reasons of responses, in the order of the checks.
+    pub const RESPONSE: [Self; 8] = [
+        Self::UnknownFlow,
+        Self::TooShort,
+        Self::TooLong,
+        Self::BadHeader,
+        Self::BadRoute,
+        Self::BadLength,
+        Self::PasswordMismatch,
+        Self::SendFailed,
+    ];
+
+    /// The value of the metrics' label `reason`.
+    pub const fn label(self) -> &'static str {
+        match self {
+            Self::TooShort => "too_short",
+            Self::TooLong => "too_long",
+            Self::BadHeader => "bad_header",
+            Self::BadRoute => "bad_route",
+            Self::RouteFormat => "route_format",
+            Self::BadLength => "bad_length",
+            Self::PasswordMissing => "password_missing",
+            Self::PasswordWrong => "password_wrong",
+            Self::SourceNotAllowed => "source_not_allowed",
+            Self::Throttled => "throttled",
+            Self::NodeMismatch => "node_mismatch",
+            Self::Broadcast => "broadcast",
+            Self::FlowLimit => "flow_limit",
+            Self::UpstreamExhausted => "upstream_exhausted",
+            Self::SendFailed => "send_failed",
+            Self::UnknownFlow => "unknown_flow",
+            Self::PasswordMismatch => "password_mismatch",
+        }
+    }
+
+    /// What happened so many times, for the log: "37 wrong passwords".
+    pub fn counted(self, count: u64) -> String {
+        let (one, many) = match self {
+            Self::TooShort => ("datagram too short", "datagrams too short"),
+            Self::TooLong => ("datagram too long", "datagrams too long"),
+            Self::BadHeader => ("wrong header", "wrong headers"),
+            Self::BadRoute => ("malformed route", "malformed routes"),
+            Self::RouteFormat => ("route not meant for IP", "routes not meant for IP"),
+            Self::BadLength => ("wrong length", "wrong lengths"),
+            Self::PasswordMissing => ("missing password", "missing passwords"),
+            Self::PasswordWrong => ("wrong password", "wrong passwords"),
+            Self::SourceNotAllowed => ("request not allowed", "requests not allowed"),
+            Self::Throttled => ("throttled request", "throttled requests"),
+            Self::NodeMismatch => ("wrong node address", "wrong node addresses"),
+            Self::Broadcast => ("broadcast", "broadcasts"),
+            Self::FlowLimit => ("flow over the limit", "flows over the limit"),
+            Self::UpstreamExhausted => ("flow without a socket", "flows without a socket"),
+            Self::SendFailed => ("failed send", "failed sends"),
+            Self::UnknownFlow => ("response without a flow", "responses without a flow"),
+            Self::PasswordMismatch => ("response password wrong", "response passwords wrong"),
+        };
+        format!("{count} {}", if count == 1 { one } else { many })
+    }
+
+    /// What it means and what to do, for people: the README's table and the status page.
+    pub const fn explanation(self) -> &'static str {
+        match self {
+            Self::TooShort => {
+                "Fewer octets than a package with its password can have (16): noise, or a scanner."
+            }
+            Self::TooLong => "More octets than the largest package (107): noise, or a scanner.",
+            Self::BadHeader => {
+                "Does not begin with the configured header: not P-NET on IP, or `[protocol] header` differs from the plant's."
+            }
+            Self::BadRoute => {
+                "The source/destination bits of the route make none of the five formats (requests), or none used over IP (responses)."
+            }
+            Self::RouteFormat => {
+                "A Simple, Immediate or one-source Complex route: formats of the serial bus, not of IP. Check the client's IPNetTable."
+            }
+            Self::BadLength => {
+                "The data-field-format announces another length than the datagram has, or octets trail behind it."
+            }
+            Self::PasswordMissing => "No password: set UsePW in the client's IPNetTable.",
+            Self::PasswordWrong => {
+                "A password that is none of the net's: a mistyped one, or someone who guesses."
+            }
+            Self::SourceNotAllowed => {
+                "The source address is in none of the net's `allow` networks. A client's address may have changed."
+            }
+            Self::Throttled => {
+                "The source sent too many wrong passwords; see `[limits]`. Correct the password and wait."
+            }
+            Self::NodeMismatch => {
+                "The route's node address is not the public port's: the client's start port or node address is off."
+            }
+            Self::Broadcast => {
+                "The route names node address 126 or 127. Broadcasts do not cross a NAT router."
+            }
+            Self::FlowLimit => {
+                "A new client found `max_flows` reached. Those already known are served; raise the limit if it is right."
+            }
+            Self::UpstreamExhausted => {
+                "No upstream socket left for a new flow. Raise the limit of file descriptors."
+            }
+            Self::SendFailed => {
+                "The system did not take the datagram: no route, no buffer. See the log and the host's network."
+            }
+            Self::UnknownFlow => {
+                "From an address or to a socket for which no flow is open: a late answer, another port than the Secure one, or noise in the plant."
+            }
+            Self::PasswordMismatch => {
+                "The answer ends with another password than the request did, or with none where one is required."
+            }
+        }
+    }
+}
+
+/// Why a flow ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum CloseReason {
+    /// Nothing passed in either direction for the net's idle timeout (RFC 4787 REQ-5, REQ-6).
+    Idle,
+    /// A new configuration has the public port no more, or for another server.
+    MappingRemoved,
+    /// A new configuration does not allow the client's address any more.
+    SourceWithdrawn,
+    /// A new configuration has the flow's password no more.
+    PasswordWithdrawn,
+    /// The router stopped.
+    Shutdown,
+}
+
+impl CloseReason {
+    /// Every reason, in the order of their counters.
+    pub const ALL: [Self; 5] = [
+        Self::Idle,
+        Self::MappingRemoved,
+        Self::SourceWithdrawn,
+        Self::PasswordWithdrawn,
+        Self::Shutdown,
+    ];
+
+    /// The value of the metrics' label `reason`.
+    pub const fn label(self) -> &'static str {
+        match self {
+            Self::Idle => "idle",
+            Self::MappingRemoved => "mapping_removed",
+            Self::SourceWithdrawn => "source_withdrawn",
+            Self::PasswordWithdrawn => "password_withdrawn",
+            Self::Shutdown => "shutdown",
+        }
+    }
+}

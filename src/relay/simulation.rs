@@ -1,0 +1,534 @@
+//! A seeded simulation of clients, nodes, time and limits around two cores, with the rules of the
+//! relay checked after every step.
+//!
+//! A failing run prints its seed; `SIMULATION_SEED=… cargo test simulation` replays it. What the
+//! simulation believes about a datagram comes from how it made it, never from the code under test.
+
+use std::collections::HashMap;
+use std::net::{IpAddr, SocketAddr};
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use fastrand::Rng;
+
+use crate::wire::{DlRoute, Header, MAX_DATAGRAM, Password};
+
+use super::*;
+
+const RUNS: u64 = 40;
+const STEPS: usize = 4_000;
+
+const CLIENTS: [&str; 10] = [
+    "198.51.100.1:1000",
+    "198.51.100.1:1001",
+    "198.51.100.2:1000",
+    "198.51.100.2:1001",
+    "198.51.100.3:1000",
+    "198.51.100.4:1000",
+    "198.51.100.5:1000",
+    "198.51.100.6:1000",
+    "203.0.113.1:1000", // outside every allow list
+    "203.0.113.2:1000",
+];
+const PUBLIC: [&str; 2] = ["192.0.2.1", "192.0.2.2"];
+
+/// What the relay must do with a request that the simulation made.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Expect {
+    /// Forward it, or drop it for want of room.
+    Pass,
+    /// Drop it for this reason, or for one that is looked at before.
+    Drop(DropReason),
+}
+
+/// A request on its way through a node.
+#[derive(Clone)]
+struct Asked {
+    worker: usize,
+    arrival: Arrival,
+    to: ToServer,
+    sent: Instant,
+    credential: usize,
+    octets: Vec<u8>,
+}
+
+/// The sockets as the simulation sees them.
+struct FakeShell {
+    rng: Rng,
+    limit: usize,
+    ports: HashMap<UpstreamId, u16>,
+    opened_flows: usize,
+    closed_flows: usize,
+}
+
+impl Shell for FakeShell {
+    fn open_upstream(&mut self, id: UpstreamId, ipv4: bool) -> Option<u16> {
+        assert!(ipv4 && !self.ports.contains_key(&id), "opened twice");
+        if self.ports.len() >= self.limit {
+            return None;
+        }
+        // Few ports, so that the kernel would give freed ones again soon.
+        let port = std::iter::repeat_with(|| self.rng.u16(50_000..50_200))
+            .find(|port| self.ports.values().all(|other| other != port))?;
+        self.ports.insert(id, port);
+        Some(port)
+    }
+
+    fn close_upstream(&mut self, id: UpstreamId) {
+        self.ports.remove(&id).expect("closes what it opened");
+    }
+
+    fn flow_opened(&mut self, flow: &FlowRecord) {
+        assert!(self.ports.values().any(|&port| port == flow.upstream_port));
+        self.opened_flows += 1;
+    }
+
+    fn flow_closed(&mut self, _: &FlowRecord, _: CloseReason) {
+        self.closed_flows += 1;
+    }
+}
+
+struct Worker {
+    core: Core,
+    counters: Arc<Counters>,
+    shell: FakeShell,
+}
+
+struct World {
+    rng: Rng,
+    now: Instant,
+    table: Arc<Table>,
+    limits: Limits,
+    workers: Vec<Worker>,
+    under_way: Vec<Asked>,
+    /// Who used a (worker, upstream port, server) last, and when (N-9).
+    users: HashMap<(usize, u16, SocketAddr), (SocketAddr, Instant)>,
+    next_number: u32,
+    forwarded: usize,
+    delivered: usize,
+    reasons: [usize; DropReason::COUNT],
+}
+
+fn table() -> Table {
+    let allow = vec!["198.51.100.0/24".parse().unwrap()];
+    let credential = |name: &str, password: &[u8; 8], device: Option<&[u8; 8]>| Credential {
+        name: name.into(),
+        password: Password::new(*password),
+        device_password: device.map(|octets| Password::new(*octets)),
+    };
+    let net = |name: &str, kind, credentials, require_response_password, max_flows| Net {
+        name: name.into(),
+        kind,
+        allow: allow.clone(),
+        credentials,
+        allow_without_password: false,
+        require_response_password,
+        idle_timeout: Duration::from_secs(150),
+        max_flows,
+    };
+    let range = vec![
+        credential("service", b"service!", None),
+        credential("rotated", b"rotated!", Some(b"device!!")),
+    ];
+    let press = vec![credential("press", b"press!!!", None)];
+    let mapping = |net, node_address, public_port, server: &str| Mapping {
+        net: NetId(net),
+        node_address,
+        public_port,
+        server: server.parse().unwrap(),
+    };
+    Table::new(
+        Header::default(),
+        vec![
+            net("section-1", NetKind::UdpRange { start_port: 40_000 }, range, false, 12),
+            net("press", NetKind::Server, press, true, 3),
+        ],
+        vec![
+            mapping(0, 1, 40_001, "172.17.17.1:34379"),
+            mapping(0, 2, 40_002, "172.17.17.2:34379"),
+            mapping(0, 33, 40_033, "172.17.17.33:34379"),
+            mapping(1, 7, 40_200, "172.17.18.7:34379"),
+        ],
+    )
+}
+
+impl World {
+    fn new(seed: u64) -> Self {
+        let mut rng = Rng::with_seed(seed);
+        let now = Instant::now();
+        let table = Arc::new(table());
+        let limits = Limits {
+            max_flows: 13,
+            wrong_password_burst: 2,
+            wrong_password_interval: Duration::from_secs(60),
+        };
+        let budget = Arc::new(FlowBudget::new(&table, &limits));
+        let workers = (0..2)
+            .map(|_| {
+                let counters = Arc::new(Counters::new(&table));
+                let (table, budget) = (Arc::clone(&table), Arc::clone(&budget));
+                let core =
+                    Core::new(table, &limits, Arc::clone(&counters), budget, now, rng.fork());
+                let shell = FakeShell {
+                    rng: rng.fork(),
+                    limit: 8,
+                    ports: HashMap::new(),
+                    opened_flows: 0,
+                    closed_flows: 0,
+                };
+                Worker { core, counters, shell }
+            })
+            .collect();
+        Self {
+            rng,
+            now,
+            table,
+            limits,
+            workers,
+            under_way: Vec::new(),
+            users: HashMap::new(),
+            next_number: 0,
+            forwarded: 0,
+            delivered: 0,
+            reasons: [0; DropReason::COUNT],
+        }
+    }
+
+    fn step(&mut self) {
+        match self.rng.u32(0..100) {
+            0..40 => self.good_request(),
+            40..58 => self.bad_request(),
+            58..80 => self.answer(),
+            80..86 => self.bad_response(),
+            86..96 => self.pass_time(1..5_000),
+            96..98 => self.pass_time(1_000..200_000),
+            98 => self.under_way.clear(), // the nodes lost power
+            _ => {
+                let limit = self.rng.usize(0..12);
+                self.workers.iter_mut().for_each(|worker| worker.shell.limit = limit);
+            }
+        }
+        self.check();
+    }
+
+    fn arrival(&mut self) -> (usize, Arrival) {
+        let client: SocketAddr = self.rng.choice(CLIENTS).unwrap().parse().unwrap();
+        let mapping = MappingId(self.rng.u32(0..self.table.mappings().len() as u32));
+        let public_address: IpAddr = self.rng.choice(PUBLIC).unwrap().parse().unwrap();
+        // As the kernel does it: a client belongs to one worker.
+        let worker = usize::from(client.port() % 2);
+        let listener = ListenerId(mapping.0);
+        (worker, Arrival { listener, mapping, public_address, client })
+    }
+
+    fn credential(&mut self, arrival: &Arrival) -> usize {
+        let net = self.table.net(self.table.mapping(arrival.mapping).net);
+        self.rng.usize(0..net.credentials.len())
+    }
+
+    /// A request in IP format with a number of its own in its data.
+    fn datagram(&mut self, arrival: &Arrival, password: &[u8]) -> Vec<u8> {
+        let node = self.table.mapping(arrival.mapping).node_address;
+        let route = DlRoute::new(&[11, node, 2, 33], &[11, 3, 31]).unwrap().to_route().unwrap();
+        self.next_number += 1;
+        let mut octets = Header::default().0.to_vec();
+        octets.extend(route.as_route().as_bytes());
+        octets.extend([0x02, 4]);
+        octets.extend(self.next_number.to_be_bytes());
+        octets.extend(password);
+        octets
+    }
+
+    fn good_request(&mut self) {
+        let (worker, arrival) = self.arrival();
+        let credential = self.credential(&arrival);
+        let net = self.table.net(self.table.mapping(arrival.mapping).net).clone();
+        let octets = self.datagram(&arrival, net.credentials[credential].password.octets());
+        let expect = if net.allows(arrival.client.ip()) {
+            Expect::Pass
+        } else {
+            Expect::Drop(DropReason::SourceNotAllowed)
+        };
+        self.request(worker, arrival, octets, credential, expect);
+    }
+
+    fn bad_request(&mut self) {
+        let (worker, arrival) = self.arrival();
+        let credential = self.credential(&arrival);
+        let password = *self.table.net(self.table.mapping(arrival.mapping).net).credentials
+            [credential]
+            .password
+            .octets();
+        let mut octets = self.datagram(&arrival, &password);
+        let len = octets.len();
+        let reason = match self.rng.u32(0..11) {
+            0 => {
+                octets[len - 1] ^= 1 << self.rng.u32(0..8);
+                DropReason::PasswordWrong
+            }
+            1 => {
+                octets.truncate(len - 8);
+                DropReason::PasswordMissing
+            }
+            2 => {
+                octets.truncate(self.rng.usize(0..16));
+                DropReason::TooShort
+            }
+            3 => {
+                octets.resize(self.rng.usize(MAX_DATAGRAM + 1..=128), 0);
+                DropReason::TooLong
+            }
+            4 => {
+                octets[self.rng.usize(0..4)] ^= 1 << self.rng.u32(0..8);
+                DropReason::BadHeader
+            }
+            5 => {
+                octets[6] = 0; // remaining-route-length
+                DropReason::BadRoute
+            }
+            6 => {
+                octets[9] &= 0x7f; // two sources left of three, then one: Complex
+                octets[10] &= 0x7f;
+                DropReason::RouteFormat
+            }
+            7 => {
+                octets.push(0);
+                DropReason::BadLength
+            }
+            8 => {
+                octets[5] = if octets[5] == 99 { 98 } else { 99 };
+                DropReason::NodeMismatch
+            }
+            9 => {
+                octets[self.rng.choice([4, 5, 7, 8]).unwrap()] = self.rng.u8(126..=127);
+                DropReason::Broadcast
+            }
+            _ => {
+                octets = std::iter::repeat_with(|| self.rng.u8(..)).take(len).collect();
+                octets[0] = 0xff;
+                DropReason::BadHeader
+            }
+        };
+        self.request(worker, arrival, octets, credential, Expect::Drop(reason));
+    }
+
+    fn request(
+        &mut self,
+        worker: usize,
+        arrival: Arrival,
+        octets: Vec<u8>,
+        credential: usize,
+        expect: Expect,
+    ) {
+        let Worker { core, shell, .. } = &mut self.workers[worker];
+        let mapping = self.table.mapping(arrival.mapping);
+        let net = self.table.net(mapping.net);
+        let mut passed = octets.clone();
+        let known = core.flows(self.now).any(|flow| {
+            (flow.client, flow.public_address, flow.mapping)
+                == (arrival.client, arrival.public_address, arrival.mapping)
+        });
+        let verdict = core.request(self.now, &arrival, &mut passed, shell);
+        if let Err(reason) = verdict {
+            self.reasons[reason as usize] += 1;
+        }
+        match (expect, verdict) {
+            (Expect::Pass, Ok(to)) => {
+                assert_eq!(to.server, mapping.server, "R-9");
+                let head = octets.len() - 8;
+                assert_eq!(passed[..head], octets[..head], "R-8");
+                let at_server = net.credentials[credential].at_server().octets();
+                assert_eq!(&passed[head..], at_server);
+                let port = shell.ports[&to.via];
+                let key = (worker, port, to.server);
+                if let Some((client, last)) = self.users.insert(key, (arrival.client, self.now))
+                    && client != arrival.client
+                {
+                    let idle = self.now - last;
+                    assert!(idle >= REST, "N-9: another client's port after {idle:?}");
+                }
+                if self.rng.u32(0..20) == 0 {
+                    core.send_failed(arrival.mapping, Direction::Request);
+                    return;
+                }
+                core.sent(arrival.mapping, Direction::Request, passed.len());
+                self.forwarded += 1;
+                let sent = self.now;
+                self.under_way.push(Asked {
+                    worker,
+                    arrival,
+                    to,
+                    sent,
+                    credential,
+                    octets: passed,
+                });
+            }
+            (Expect::Pass, Err(reason)) => {
+                let want_of_room =
+                    [DropReason::FlowLimit, DropReason::UpstreamExhausted, DropReason::Throttled];
+                assert!(want_of_room.contains(&reason), "{reason:?}");
+                assert!(!known, "N-8: an open flow is served whatever is full, not {reason:?}");
+            }
+            (Expect::Drop(expected), Err(reason)) => {
+                let before = [DropReason::SourceNotAllowed, DropReason::Throttled];
+                assert!(
+                    reason == expected || (!known && before.contains(&reason)),
+                    "{reason:?} instead of {expected:?}"
+                );
+            }
+            (Expect::Drop(expected), Ok(_)) => panic!("passed instead of {expected:?}"),
+        }
+    }
+
+    /// A node answers one of the requests under way: with its password or without one.
+    fn answer(&mut self) {
+        if self.under_way.is_empty() {
+            return;
+        }
+        let asked = self.under_way.swap_remove(self.rng.usize(0..self.under_way.len()));
+        if self.now - asked.sent >= REST {
+            return; // later than any node answers, and than N-9 protects
+        }
+        let mut octets = asked.octets.clone();
+        let without_password = self.rng.u32(0..10) == 0;
+        if without_password {
+            octets.truncate(octets.len() - 8);
+        }
+        let net = self.table.net(self.table.mapping(asked.arrival.mapping).net).clone();
+        match self.response(asked.worker, asked.to.via, asked.to.server, &mut octets) {
+            Ok(to) => {
+                assert_eq!(
+                    (to.client, to.public_address, to.via),
+                    (asked.arrival.client, asked.arrival.public_address, asked.arrival.listener),
+                    "an answer to another client"
+                );
+                assert!(!(without_password && net.require_response_password));
+                let head = asked.octets.len() - 8;
+                assert_eq!(octets[..head], asked.octets[..head], "R-8");
+                if !without_password {
+                    let password = net.credentials[asked.credential].password.octets();
+                    assert_eq!(&octets[head..], password);
+                }
+                self.delivered += 1;
+            }
+            Err(DropReason::UnknownFlow | DropReason::PasswordMismatch) => {}
+            Err(reason) => panic!("a good answer was dropped: {reason:?}"),
+        }
+    }
+
+    /// A datagram at an upstream socket that must not reach any client.
+    fn bad_response(&mut self) {
+        let worker = self.rng.usize(0..self.workers.len());
+        let ports = &self.workers[worker].shell.ports;
+        let Some(&via) = self.rng.choice(ports.keys().collect::<Vec<_>>()) else { return };
+        let server = self.rng.choice(self.table.mappings()).unwrap().server;
+        let (_, arrival) = self.arrival();
+        let mut octets = self.datagram(&arrival, b"nobody's");
+        let (server, reasons): (SocketAddr, &[_]) = match self.rng.u32(0..4) {
+            0 => ("172.17.17.99:34379".parse().unwrap(), &[DropReason::UnknownFlow]),
+            1 => (SocketAddr::new(server.ip(), 34_378), &[DropReason::UnknownFlow]),
+            2 => (server, &[DropReason::UnknownFlow, DropReason::PasswordMismatch]),
+            _ => {
+                octets.truncate(self.rng.usize(0..octets.len() - 8));
+                let cut = [DropReason::UnknownFlow, DropReason::TooShort];
+                let mut reasons = cut.to_vec();
+                reasons.extend([DropReason::BadRoute, DropReason::BadLength]);
+                (server, reasons.leak())
+            }
+        };
+        let verdict = self.response(worker, via, server, &mut octets);
+        let reason = verdict.expect_err("a bad response passed");
+        assert!(reasons.contains(&reason), "{reason:?}");
+    }
+
+    fn response(
+        &mut self,
+        worker: usize,
+        via: UpstreamId,
+        server: SocketAddr,
+        octets: &mut [u8],
+    ) -> Result<ToClient, DropReason> {
+        let Worker { core, shell, .. } = &mut self.workers[worker];
+        let verdict = core.response(self.now, via, server, octets);
+        match verdict {
+            Ok(to) => {
+                core.sent(to.mapping, Direction::Response, octets.len());
+                let used = (to.client, self.now);
+                self.users.insert((worker, shell.ports[&via], server), used);
+            }
+            Err(reason) => self.reasons[reason as usize] += 1,
+        }
+        verdict
+    }
+
+    fn pass_time(&mut self, milliseconds: std::ops::Range<u64>) {
+        self.now += Duration::from_millis(self.rng.u64(milliseconds));
+        for Worker { core, shell, .. } in &mut self.workers {
+            core.expire(self.now, shell);
+        }
+    }
+
+    fn check(&self) {
+        let mut open = vec![0; self.table.nets().len()];
+        for Worker { core, counters, shell } in &self.workers {
+            core.check_invariants(self.now);
+            let flows = core.flows(self.now).count();
+            assert_eq!(flows, shell.opened_flows - shell.closed_flows, "N-10");
+            let nodes = (0..self.table.mappings().len() as u32)
+                .map(|id| counters.node(MappingId(id)))
+                .chain([&counters.stray]);
+            for node in nodes {
+                for direction in Direction::ALL.map(|direction| node.direction(direction)) {
+                    let accounted = direction.forwarded.get() + direction.dropped_total();
+                    assert_eq!(direction.received.get(), accounted, "the law of the counters");
+                }
+            }
+            for (index, open) in open.iter_mut().enumerate() {
+                *open += counters.net(NetId(index as u16)).flows.get();
+            }
+        }
+        for (net, &open) in self.table.nets().iter().zip(&open) {
+            assert!(open <= u64::from(net.max_flows), "N-8: {open} flows in {}", net.name);
+        }
+        assert!(open.iter().sum::<u64>() <= u64::from(self.limits.max_flows), "N-8");
+    }
+}
+
+fn run(seed: u64) -> World {
+    /// Tells the seed when a step panics.
+    struct Seed(u64);
+    impl Drop for Seed {
+        fn drop(&mut self) {
+            if std::thread::panicking() {
+                println!("replay with SIMULATION_SEED={}", self.0);
+            }
+        }
+    }
+    let seed = Seed(seed);
+    let mut world = World::new(seed.0);
+    (0..STEPS).for_each(|_| world.step());
+    world
+}
+
+#[test]
+fn simulation_holds_the_rules_after_every_step() {
+    if let Ok(seed) = std::env::var("SIMULATION_SEED") {
+        run(seed.parse().expect("SIMULATION_SEED is a number"));
+        return;
+    }
+    let (mut forwarded, mut delivered, mut reasons) = (0, 0, [0; DropReason::COUNT]);
+    for _ in 0..RUNS {
+        let world = run(Rng::new().u64(..));
+        forwarded += world.forwarded;
+        delivered += world.delivered;
+        (0..reasons.len()).for_each(|reason| reasons[reason] += world.reasons[reason]);
+    }
+    // A simulation in which nothing happens proves nothing.
+    assert!(forwarded > 10_000 && delivered > 5_000, "{forwarded} {delivered}");
+    for reason in DropReason::REQUEST.into_iter().chain(DropReason::RESPONSE) {
+        assert!(
+            reasons[reason as usize] > 0 || reason == DropReason::SendFailed,
+            "{reason:?} never happened"
+        );
+    }
+}

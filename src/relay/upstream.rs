@@ -1,0 +1,209 @@
+//! Which of the router's own sockets a flow uses towards its server.
+//!
+//! One socket serves many clients, but never two at the same server: an answer is told apart by
+//! (socket, server) alone. A client keeps to one socket as far as it can, so that a server's table
+//! of dynamic clients does not fill. A pair that a flow gave up rests for 120 s before
+//! another client may have it (N-9, RFC 6888 REQ-8); its port cannot be had again meanwhile, for
+//! the socket stays open as long as one of its pairs is in use or rests. The kernel picks the
+//! ports, at random (RFC 6056).
+
+use std::collections::{HashMap, VecDeque};
+use std::net::SocketAddr;
+use std::time::{Duration, Instant};
+
+use foldhash::fast::RandomState;
+use slab::Slab;
+
+use super::core::Shell;
+use super::flow::FlowId;
+
+/// How long a pair that a flow gave up is kept from other clients.
+pub const REST: Duration = Duration::from_secs(120);
+
+/// How many open sockets are tried at random before another is opened.
+const PROBES: usize = 8;
+
+/// Index of an upstream socket.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct UpstreamId(pub u32);
+
+/// The upstream sockets of one worker and what each is used for.
+#[derive(Debug, Default)]
+pub(super) struct Upstreams {
+    sockets: Slab<Socket>,
+    /// The keys of `sockets`, dense, to pick from.
+    open: Vec<UpstreamId>,
+    pairs: HashMap<(UpstreamId, SocketAddr), Pair, RandomState>,
+    homes: HashMap<SocketAddr, Home, RandomState>,
+    /// When the pairs that were given up will have rested, in that order. One that was taken up
+    /// again since is still here.
+    resting: VecDeque<(Instant, UpstreamId, SocketAddr)>,
+}
+
+#[derive(Debug)]
+struct Socket {
+    ipv4: bool,
+    port: u16,
+    /// Pairs in use or resting.
+    pairs: u32,
+}
+
+/// A (socket, server) that is in use or rests.
+#[derive(Clone, Copy, Debug)]
+struct Pair {
+    client: SocketAddr,
+    state: PairState,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum PairState {
+    Used(FlowId),
+    RestsUntil(Instant),
+}
+
+/// The socket that a client keeps to.
+#[derive(Debug)]
+struct Home {
+    socket: UpstreamId,
+    /// The client's pairs in use or resting, on whichever socket.
+    pairs: u32,
+}
+
+impl Upstreams {
+    /// The flow that an answer from `server` on this socket belongs to.
+    #[inline]
+    pub(super) fn flow(&self, socket: UpstreamId, server: SocketAddr) -> Option<FlowId> {
+        match self.pairs.get(&(socket, server))?.state {
+            PairState::Used(flow) => Some(flow),
+            PairState::RestsUntil(_) => None,
+        }
+    }
+
+    /// Gives a flow a socket on which no other client talks to this server, and tells its port.
+    /// None when there is no such socket and no other can be opened.
+    pub(super) fn assign(
+        &mut self,
+        flow: FlowId,
+        client: SocketAddr,
+        server: SocketAddr,
+        random: &mut fastrand::Rng,
+        shell: &mut impl Shell,
+    ) -> Option<(UpstreamId, u16)> {
+        let socket = self
+            .home(client, server)
+            .or_else(|| self.probe(client, server, random))
+            .or_else(|| self.open(server, shell))
+            .or_else(|| self.open.iter().copied().find(|&id| self.may_use(id, client, server)))?;
+        let used = Pair { client, state: PairState::Used(flow) };
+        let place = &mut self.sockets[socket.key()];
+        if self.pairs.insert((socket, server), used).is_none() {
+            place.pairs += 1;
+            self.homes.entry(client).or_insert(Home { socket, pairs: 0 }).pairs += 1;
+        }
+        Some((socket, place.port))
+    }
+
+    /// Takes a flow's socket from it; the pair begins to rest.
+    pub(super) fn release(&mut self, socket: UpstreamId, server: SocketAddr, now: Instant) {
+        if let Some(pair) = self.pairs.get_mut(&(socket, server)) {
+            let end = now + REST;
+            pair.state = PairState::RestsUntil(end);
+            self.resting.push_back((end, socket, server));
+        }
+    }
+
+    /// Frees the pairs that have rested, and closes the sockets that nothing needs any more.
+    pub(super) fn expire(&mut self, now: Instant, shell: &mut impl Shell) {
+        while let Some(&(end, socket, server)) = self.resting.front()
+            && end <= now
+        {
+            self.resting.pop_front();
+            let Some(pair) = self.pairs.get(&(socket, server)).copied() else { continue };
+            if pair.state == PairState::RestsUntil(end) {
+                self.pairs.remove(&(socket, server));
+                self.leave_home(pair.client);
+                self.leave_socket(socket, shell);
+            }
+        }
+    }
+
+    pub(super) fn is_empty(&self) -> bool {
+        self.open.is_empty()
+    }
+
+    /// Panics where the tables do not agree with each other.
+    #[cfg(test)]
+    pub(super) fn check_invariants(&self, flows: usize) {
+        let used = |pair: &&Pair| matches!(pair.state, PairState::Used(_));
+        assert_eq!(self.pairs.values().filter(used).count(), flows);
+        assert_eq!(self.open.len(), self.sockets.len());
+        for (key, socket) in &self.sockets {
+            let pairs = self.pairs.keys().filter(|(id, _)| id.key() == key).count();
+            assert_eq!(pairs, socket.pairs as usize);
+            assert!(pairs > 0, "a socket that nothing needs is closed");
+        }
+        for (client, home) in &self.homes {
+            let pairs = self.pairs.values().filter(|pair| pair.client == *client).count();
+            assert_eq!(pairs, home.pairs as usize);
+        }
+    }
+
+    fn home(&self, client: SocketAddr, server: SocketAddr) -> Option<UpstreamId> {
+        let home = self.homes.get(&client)?;
+        self.may_use(home.socket, client, server).then_some(home.socket)
+    }
+
+    fn probe(
+        &self,
+        client: SocketAddr,
+        server: SocketAddr,
+        random: &mut fastrand::Rng,
+    ) -> Option<UpstreamId> {
+        (0..PROBES.min(self.open.len()))
+            .map(|_| self.open[random.usize(..self.open.len())])
+            .find(|&socket| self.may_use(socket, client, server))
+    }
+
+    fn open(&mut self, server: SocketAddr, shell: &mut impl Shell) -> Option<UpstreamId> {
+        let place = self.sockets.vacant_entry();
+        let socket = UpstreamId(u32::try_from(place.key()).ok()?);
+        let port = shell.open_upstream(socket, server.is_ipv4())?;
+        place.insert(Socket { ipv4: server.is_ipv4(), port, pairs: 0 });
+        self.open.push(socket);
+        Some(socket)
+    }
+
+    fn may_use(&self, socket: UpstreamId, client: SocketAddr, server: SocketAddr) -> bool {
+        // A client's home may have been closed, while it still has pairs elsewhere.
+        self.sockets.get(socket.key()).is_some_and(|socket| socket.ipv4 == server.is_ipv4())
+            && self.pairs.get(&(socket, server)).is_none_or(|pair| {
+                // Its own pair does not have to rest for the client it belonged to.
+                pair.client == client && matches!(pair.state, PairState::RestsUntil(_))
+            })
+    }
+
+    fn leave_home(&mut self, client: SocketAddr) {
+        if let Some(home) = self.homes.get_mut(&client) {
+            home.pairs -= 1;
+            if home.pairs == 0 {
+                self.homes.remove(&client);
+            }
+        }
+    }
+
+    fn leave_socket(&mut self, socket: UpstreamId, shell: &mut impl Shell) {
+        let pairs = &mut self.sockets[socket.key()].pairs;
+        *pairs -= 1;
+        if *pairs == 0 {
+            self.sockets.remove(socket.key());
+            self.open.retain(|&id| id != socket);
+            shell.close_upstream(socket);
+        }
+    }
+}
+
+impl UpstreamId {
+    fn key(self) -> usize {
+        self.0 as usize
+    }
+}
