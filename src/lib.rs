@@ -5,5 +5,6 @@
 //! way back, and counts everything. The binary is a thin shell around these modules; reading
 //! order for newcomers: [`wire`], [`relay`], [`net`], then the rest.
 
+pub mod config;
 pub mod relay;
 pub mod wire;

@@ -1,0 +1,174 @@
+//! The configuration: what `pnet-nat run`, `check` and `demo` work from.
+//!
+//! TOML text becomes a [`Config`] that holds nothing to check again, or [`Faults`]: all of them in
+//! one run, each with its line, its key and what to do. `config/pnet-nat.toml` describes the keys.
+
+mod fault;
+mod model;
+mod net;
+mod node_range;
+mod overlap;
+mod secret;
+mod section;
+#[cfg(test)]
+mod tests;
+
+use std::fs;
+use std::net::IpAddr;
+use std::num::NonZeroUsize;
+use std::path::Path;
+use std::sync::Arc;
+use std::time::Duration;
+
+use toml::de::DeTable;
+
+use crate::relay::{Limits, Mapping, NetId, Table};
+use crate::wire::Header;
+
+use fault::{Place, Report, line_of};
+use net::Draft;
+use section::Section;
+
+pub use fault::{Fault, Faults, Warning};
+pub use model::{Admin, Config, Runtime};
+pub use node_range::{NodeRange, NotANodeRange};
+pub(crate) use secret::read_password;
+
+/// Reads a configuration file and the password files that it names.
+pub fn load(path: &Path) -> Result<(Config, Vec<Warning>), Faults> {
+    let unreadable = |line, problem, remedy: &str| {
+        let (file, key, remedy) = (path.to_owned(), String::new(), remedy.to_owned());
+        Faults(vec![Fault { file, line, key, problem, remedy }])
+    };
+    let octets = fs::read(path).map_err(|err| {
+        let remedy = "name a configuration file that pnet-nat may read with --config";
+        unreadable(None, format!("cannot be read: {err}"), remedy)
+    })?;
+    let text = String::from_utf8(octets).map_err(|err| {
+        let line = line_of(err.as_bytes(), err.utf8_error().valid_up_to());
+        unreadable(Some(line), "not UTF-8 text".into(), "save the file as UTF-8")
+    })?;
+    parse(&text, path)
+}
+
+/// Reads a configuration from text, as if it stood in the file `path`.
+pub fn parse(text: &str, path: &Path) -> Result<(Config, Vec<Warning>), Faults> {
+    let report = Report::new(path, text);
+    let (document, errors) = DeTable::parse_recoverable(text);
+    for error in errors {
+        let line = report.line(error.span().map_or(0, |span| span.start));
+        let problem = error.message().replace('\n', ", ");
+        let remedy = "correct the TOML; keys are checked once it can be read";
+        report.fault(&Place { line, key: String::new() }, problem, remedy.into());
+    }
+    // Values of a text that is only half understood would be judged wrongly.
+    let root = || read(Section::root(document.get_ref(), &report));
+    let config = report.is_sound().then(root).flatten();
+    report.verdict(config)
+}
+
+/// The configuration, unless a fault was noted.
+fn read(mut root: Section<'_>) -> Option<Config> {
+    let (place, report) = (root.place.clone(), root.report);
+    let listen = public(root.key("public", "").section());
+    let header = protocol(root.key("protocol", "").section());
+    let ranges = root.key("udp_range_net", "").sections();
+    let servers = root.key("server", "").sections();
+    let limits = limits(root.key("limits", "").section());
+    let runtime = runtime(root.key("runtime", "").section());
+    let admin = admin(root.key("admin", "").section());
+    root.finish();
+
+    if let (Some([]), Some([])) = (ranges.as_deref(), servers.as_deref()) {
+        let remedy = "add a [[udp_range_net]] or a [[server]]";
+        report.fault(&place, "there is nothing to relay".into(), remedy.into());
+    }
+    let ranges = ranges.into_iter().flatten().map(net::udp_range_net);
+    let servers = servers.into_iter().flatten().map(net::server);
+    let drafts: Vec<Draft<'_>> = ranges.chain(servers).collect();
+    overlap::refuse_overlaps(&drafts, &listen);
+    report.is_sound().then(|| {
+        let table = Arc::new(table(header, drafts));
+        Config { listen, table, limits, runtime, admin }
+    })
+}
+
+fn public(mut section: Section<'_>) -> Vec<IpAddr> {
+    let entry = section.key("listen", "[\"0.0.0.0\"]").required();
+    section.finish();
+    let mut listen: Vec<IpAddr> = Vec::new();
+    for element in entry.list() {
+        let Some(address) = element.parse::<IpAddr>() else { continue };
+        let address = address.to_canonical();
+        let clash = |other: &&IpAddr| {
+            let covered = other.is_unspecified() || address.is_unspecified();
+            covered && other.is_ipv4() == address.is_ipv4()
+        };
+        if listen.contains(&address) {
+            element.fault(format!("{address} is listed twice"), "list each address once");
+        } else if let Some(other) = listen.iter().find(clash) {
+            element.fault(
+                format!("{address} and {other} overlap, for one of them is every address"),
+                "list either the addresses one by one or the one that is all of them",
+            );
+        }
+        listen.push(address);
+    }
+    listen
+}
+
+fn protocol(mut section: Section<'_>) -> Header {
+    let header = section.key("header", "\"02000000\"").parse();
+    section.finish();
+    header.unwrap_or_default()
+}
+
+fn limits(mut section: Section<'_>) -> Limits {
+    let max_flows = section.key("max_flows", "65536");
+    let burst = section.key("wrong_password_burst", "10");
+    let interval = section.key("wrong_password_interval", "\"6s\"");
+    section.finish();
+    let interval = interval.duration(Duration::from_millis(1));
+    Limits {
+        max_flows: max_flows.integer(1..=net::MOST_FLOWS).unwrap_or(65_536),
+        wrong_password_burst: burst.integer(1..=u16::MAX).unwrap_or(10),
+        wrong_password_interval: interval.unwrap_or(Duration::from_secs(6)),
+    }
+}
+
+fn runtime(mut section: Section<'_>) -> Runtime {
+    let workers = section.key("workers", "2");
+    let receive_buffer = section.key("receive_buffer", "1048576");
+    let drain = section.key("drain", "\"5s\"");
+    section.finish();
+    let default = Runtime::default();
+    Runtime {
+        workers: workers.integer(1..=256).and_then(NonZeroUsize::new),
+        receive_buffer: receive_buffer.integer(4096..=1 << 30).unwrap_or(default.receive_buffer),
+        drain: drain.duration(Duration::ZERO).unwrap_or(default.drain),
+    }
+}
+
+fn admin(mut section: Section<'_>) -> Option<Admin> {
+    let enabled = section.key("enabled", "true").boolean().unwrap_or(true);
+    let listen = section.key("listen", "\"127.0.0.1:9378\"").parse();
+    section.finish();
+    let listen = listen.unwrap_or(([127, 0, 0, 1], 9378).into());
+    enabled.then_some(Admin { listen })
+}
+
+fn table(header: Header, drafts: Vec<Draft<'_>>) -> Table {
+    let (mut nets, mut mappings) = (Vec::new(), Vec::new());
+    for (id, draft) in (0..).map(NetId).zip(drafts) {
+        let endpoints = draft.public_ports.values.into_iter().zip(draft.servers.values);
+        let mapping = |(node_address, (public_port, server))| Mapping {
+            net: id,
+            node_address,
+            public_port,
+            server,
+        };
+        mappings.extend(draft.nodes.into_iter().zip(endpoints).map(mapping));
+        nets.push(draft.net);
+    }
+    Table::new(header, nets, mappings)
+}

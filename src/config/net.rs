@@ -1,0 +1,362 @@
+//! One net of the NAT table: a `[[udp_range_net]]` or a `[[server]]`, with the rules they share.
+//!
+//! What is read here may still hold faults; a [`Draft`] keeps what could be read, so that the
+//! nets can be compared with each other all the same.
+
+use std::collections::BTreeSet;
+use std::net::{IpAddr, Ipv4Addr, SocketAddr};
+use std::time::Duration;
+
+use ipnet::IpNet;
+
+use crate::relay::{Credential, Net, NetKind};
+
+use super::fault::Place;
+use super::node_range::NodeRange;
+use super::secret::password_file;
+use super::section::{Entry, Section};
+
+/// Where a server takes packages without a password (PAS 5.2.3, `p-net-local`).
+const NORMAL_PORT: u16 = 34378;
+/// Where a server takes packages with a password (PAS 5.2.3, `p-net-remote`).
+const SECURE_PORT: u16 = 34379;
+/// the highest node address that is not a broadcast.
+const LAST_NODE: u8 = 125;
+/// the node addresses of broadcasts, whose public ports stay closed.
+const BROADCASTS: [u16; 2] = [126, 127];
+/// A15: the highest start port whose last node still has a UDP port.
+const LAST_START_PORT: u16 = u16::MAX - LAST_NODE as u16;
+/// RFC 4787 REQ-5: a mapping lives at least this long.
+const SHORT_IDLE_TIMEOUT: Duration = Duration::from_secs(120);
+/// Ports below need a privilege to bind.
+const FIRST_UNPRIVILEGED_PORT: u16 = 1024;
+/// More flows than this, and their memory would be counted in hundreds of megabytes.
+pub(super) const MOST_FLOWS: u32 = 1_000_000;
+
+/// What a net claims for itself alone: public ports or servers, and the key that says so.
+#[derive(Debug)]
+pub(super) struct Claim<'a, T> {
+    pub(super) entry: Entry<'a>,
+    /// One for each of the net's nodes, in their order; empty when they could not be read.
+    pub(super) values: Vec<T>,
+}
+
+/// A net as far as it could be read.
+#[derive(Debug)]
+pub(super) struct Draft<'a> {
+    pub(super) place: Place,
+    pub(super) name: Entry<'a>,
+    pub(super) net: Net,
+    pub(super) nodes: Vec<u8>,
+    pub(super) public_ports: Claim<'a, u16>,
+    pub(super) servers: Claim<'a, SocketAddr>,
+}
+
+impl Draft<'_> {
+    /// The net and where it stands, for a fault of another one.
+    pub(super) fn label(&self) -> String {
+        let Place { line, key } = &self.place;
+        format!("{key} \"{}\" (line {line})", self.net.name)
+    }
+
+    /// the ports of a range on which nothing may listen.
+    pub(super) fn silent_ports(&self) -> Vec<u16> {
+        match self.net.kind {
+            NetKind::UdpRange { start_port } => {
+                BROADCASTS.iter().filter_map(|node| start_port.checked_add(*node)).collect()
+            }
+            NetKind::Server => Vec::new(),
+        }
+    }
+}
+
+/// public port = start port + node address, server = subnet + node address.
+pub(super) fn udp_range_net(mut section: Section<'_>) -> Draft<'_> {
+    let place = section.place.clone();
+    let name = section.key("name", "\"section-1\"").required();
+    let start_port_entry = section.key("start_port", "40000").required();
+    let start_port = start_port(&start_port_entry);
+    let subnet_entry = section.key("subnet", "\"172.17.17.0\"").required();
+    let subnet = subnet(&subnet_entry);
+    let nodes = nodes(&section.key("nodes", "[\"1-4\", 33]").required());
+    let server_port = section.key("server_port", "34379");
+    let server_port = server_port.integer(1..=u16::MAX).inspect(|&port| {
+        refuse_normal_port(&server_port, port);
+    });
+    let server_port = server_port.unwrap_or(SECURE_PORT);
+    let kind = NetKind::UdpRange { start_port: start_port.unwrap_or_default() };
+    let net = rules(&mut section, &name, kind);
+    section.finish();
+
+    let public_ports = start_port
+        .map(|start| nodes.iter().map(|&node| start + u16::from(node)).collect::<Vec<_>>());
+    let servers = subnet.map(|[a, b, c, _]| {
+        let server = |&node: &u8| SocketAddr::from(([a, b, c, node], server_port));
+        nodes.iter().map(server).collect()
+    });
+    let public_ports = Claim { entry: start_port_entry, values: public_ports.unwrap_or_default() };
+    warn_of_privileged_ports(&public_ports);
+    let servers = Claim { entry: subnet_entry, values: servers.unwrap_or_default() };
+    Draft { place, name, net, nodes, public_ports, servers }
+}
+
+/// A single server outside any range.
+pub(super) fn server(mut section: Section<'_>) -> Draft<'_> {
+    let place = section.place.clone();
+    let name = section.key("name", "\"press\"").required();
+    let port_entry = section.key("public_port", "40200").required();
+    let port = port_entry.integer(1..=u16::MAX);
+    let address_entry = section.key("address", "\"172.17.18.7:34379\"").required();
+    let address = address_entry.parse::<SocketAddr>();
+    let node_entry = section.key("node", "7").required();
+    let node = node_entry.integer(1..=LAST_NODE);
+    let net = rules(&mut section, &name, NetKind::Server);
+    section.finish();
+
+    if let (Some(port), Some(node)) = (port, node) {
+        warn_of_unreachable(&port_entry, port, node);
+    }
+    if let Some(address) = address {
+        check_server_address(&address_entry, address, node);
+    }
+    let public_ports = Claim { entry: port_entry, values: port.into_iter().collect() };
+    warn_of_privileged_ports(&public_ports);
+    let servers = Claim { entry: address_entry, values: address.into_iter().collect() };
+    Draft { place, name, net, nodes: node.into_iter().collect(), public_ports, servers }
+}
+
+/// The keys that ranges and single servers share.
+fn rules(section: &mut Section<'_>, name: &Entry<'_>, kind: NetKind) -> Net {
+    let allow = section.key("allow", "[\"198.51.100.0/24\"]").required();
+    let idle_timeout = section.key("idle_timeout", "\"5m\"");
+    let max_flows = section.key("max_flows", "4096");
+    let require_response_password = section.key("require_response_password", "false");
+    let without_password = section.key("allow_without_password", "false");
+    let allow_without_password = without_password.boolean().unwrap_or(false);
+    let passwords = section.key("password", "");
+    if allow_without_password {
+        without_password.warn(
+            "requests without a password reach the plant, which PAS 7 forbids",
+            "use it only while no client can send one, and keep `allow` narrow",
+        );
+    }
+    Net {
+        name: self::name(name).unwrap_or_default(),
+        kind,
+        allow: allow.list().iter().filter_map(network).collect(),
+        credentials: credentials(&passwords, allow_without_password),
+        allow_without_password,
+        require_response_password: require_response_password.boolean().unwrap_or(false),
+        idle_timeout: self::idle_timeout(&idle_timeout),
+        max_flows: max_flows.integer(1..=MOST_FLOWS).unwrap_or(4096),
+    }
+}
+
+fn start_port(entry: &Entry<'_>) -> Option<u16> {
+    let start_port = entry.integer(1..=u16::MAX)?;
+    if start_port > LAST_START_PORT {
+        entry.fault(
+            format!("{start_port} + {LAST_NODE} is over {}", u16::MAX),
+            format!("choose a start port up to {LAST_START_PORT}"),
+        );
+        return None;
+    }
+    if start_port == NORMAL_PORT {
+        entry.warn(
+            format!("node 1 gets port {SECURE_PORT}, on which P-NET servers themselves listen"),
+            "choose another start port, unless clients already have this one",
+        );
+    }
+    Some(start_port)
+}
+
+/// the mask is 255.255.255.0.
+fn subnet(entry: &Entry<'_>) -> Option<[u8; 4]> {
+    let subnet = entry.parse::<Ipv4Addr>()?;
+    let [a, b, c, last] = subnet.octets();
+    if last != 0 {
+        entry.fault(
+            format!("{subnet} is not a subnet: its mask is 255.255.255.0"),
+            format!("write \"{a}.{b}.{c}.0\""),
+        );
+    }
+    let first = Ipv4Addr::new(a, b, c, 1);
+    if !is_a_host(first.into()) {
+        entry.fault(format!("no host can be at {first}"), "name the subnet of the servers");
+        return None;
+    }
+    Some([a, b, c, 0])
+}
+
+/// Node addresses, in their order.
+fn nodes(entry: &Entry<'_>) -> Vec<u8> {
+    let mut nodes = BTreeSet::new();
+    for element in entry.list() {
+        let Some((first, last)) = node_range(&element) else { continue };
+        let twice: Vec<_> = (first..=last).filter(|&node| !nodes.insert(node)).collect();
+        if let Some(node) = twice.first() {
+            element.fault(format!("node {node} is listed twice"), "name each node once");
+        }
+    }
+    nodes.into_iter().collect()
+}
+
+/// `33` or `"1-4"`.
+fn node_range(entry: &Entry<'_>) -> Option<(u8, u8)> {
+    if entry.is_integer() {
+        return entry.integer(1..=LAST_NODE).map(|node| (node, node));
+    }
+    let text = entry.text()?;
+    match text.parse::<NodeRange>() {
+        Ok(NodeRange(range)) => Some(range.into_inner()),
+        Err(error) => {
+            let problem = format!("{text:?} is not a range of node addresses");
+            entry.fault(problem, error.to_string());
+            None
+        }
+    }
+}
+
+fn check_server_address(entry: &Entry<'_>, address: SocketAddr, node: Option<u8>) {
+    refuse_normal_port(entry, address.port());
+    if address.port() == 0 || !is_a_host(address.ip()) {
+        entry.fault(format!("no server can be at {address}"), "name the server's address and port");
+    }
+    if let (IpAddr::V4(ip), Some(node)) = (address.ip(), node)
+        && ip.octets()[3] != node
+    {
+        //
+        entry.warn(
+            format!("a server's last octet is its node address, yet {ip} is to be node {node}"),
+            "correct `address` or `node`, or the server takes no package as its own",
+        );
+    }
+}
+
+fn refuse_normal_port(entry: &Entry<'_>, port: u16) {
+    //
+    if port == NORMAL_PORT {
+        entry.fault(
+            format!("{NORMAL_PORT} is the port for packages without a password"),
+            format!("send to the servers' Secure port, {SECURE_PORT}"),
+        );
+    }
+}
+
+fn warn_of_privileged_ports(ports: &Claim<'_, u16>) {
+    if let Some(port) = ports.values.iter().find(|&&port| port < FIRST_UNPRIVILEGED_PORT) {
+        ports.entry.warn(
+            format!("public port {port} is below {FIRST_UNPRIVILEGED_PORT}"),
+            "run pnet-nat with CAP_NET_BIND_SERVICE, or choose higher ports",
+        );
+    }
+}
+
+fn warn_of_unreachable(entry: &Entry<'_>, port: u16, node: u8) {
+    if port <= u16::from(node) {
+        entry.warn(
+            format!("no IPNetTable row leads to node {node}: its UDPPort would be {port} - {node}"),
+            format!("choose a public port over {node}"),
+        );
+    }
+}
+
+fn is_a_host(address: IpAddr) -> bool {
+    let reserved =
+        matches!(address, IpAddr::V4(v4) if v4.octets()[0] == 0 || v4.octets()[0] >= 240);
+    !(reserved || address.is_unspecified() || address.is_multicast())
+}
+
+/// A network, or one address.
+fn network(entry: &Entry<'_>) -> Option<IpNet> {
+    let text = entry.text()?;
+    let network = match text.parse::<IpAddr>() {
+        Ok(address) => IpNet::from(address),
+        Err(_) => entry.parse::<IpNet>()?,
+    };
+    if network != network.trunc() {
+        entry.fault(
+            format!("{network} has bits set beyond its prefix"),
+            format!("write \"{}\"", network.trunc()),
+        );
+        return None;
+    }
+    if let IpNet::V6(v6) = network
+        && v6.network().to_ipv4_mapped().is_some()
+    {
+        entry.fault("IPv4 clients are compared as IPv4", "write the network the IPv4 way");
+        return None;
+    }
+    Some(network)
+}
+
+fn idle_timeout(entry: &Entry<'_>) -> Duration {
+    let timeout = entry.duration(Duration::from_millis(1)).unwrap_or(Duration::from_secs(300));
+    if timeout < SHORT_IDLE_TIMEOUT {
+        entry.warn(
+            format!("{} is short: answers may be lost", humantime::format_duration(timeout)),
+            "choose \"2m\" or more (RFC 4787 REQ-5)",
+        );
+    }
+    timeout
+}
+
+fn credentials(entry: &Entry<'_>, allow_without_password: bool) -> Vec<Credential> {
+    let Some(sections) = entry.sections() else { return Vec::new() };
+    if sections.is_empty() && !allow_without_password {
+        // A4, PAS 7
+        let net = entry.place.key.split(['[', '.']).next().unwrap_or_default();
+        entry.fault(
+            "missing: clients need a password",
+            format!(
+                "add [[{net}.password]] with `name` and `file`, or `allow_without_password = true`"
+            ),
+        );
+    }
+    let mut credentials: Vec<Credential> = Vec::new();
+    for mut section in sections {
+        let name_entry = section.key("name", "\"service\"").required();
+        let file = section.key("file", "\"secrets/section-1\"").required();
+        let device_file = section.key("device_file", "\"secrets/device\"");
+        section.finish();
+
+        let name = name(&name_entry).unwrap_or_default();
+        if !name.is_empty() && credentials.iter().any(|other| other.name == name) {
+            name_entry.fault(
+                format!("{name:?} is already a password of this net"),
+                "give each its own name",
+            );
+        }
+        let device_password = password_file(&device_file);
+        let Some(password) = password_file(&file) else { continue };
+        let same = |other: &&Credential| bool::from(other.password.matches(password.octets()));
+        if let Some(other) = credentials.iter().find(same) {
+            file.fault(
+                format!("the same password as {:?} of this net", other.name),
+                "give each its own password, or remove one",
+            );
+        }
+        credentials.push(Credential { name, password, device_password });
+    }
+    credentials
+}
+
+/// A name fit for metrics, logs and addresses of the API.
+fn name(entry: &Entry<'_>) -> Option<String> {
+    let name = entry.text()?;
+    let valid = (1..=63).contains(&name.len())
+        && name.starts_with(|c: char| c.is_ascii_alphanumeric())
+        && name.chars().all(|c| c.is_ascii_alphanumeric() || matches!(c, '.' | '_' | '-'));
+    if !valid {
+        entry.fault(
+            format!("{name:?} is not a name"),
+            "use 1 to 63 of A-Z a-z 0-9 . _ - and begin with a letter or digit",
+        );
+        return None;
+    }
+    if name == "none" {
+        entry.fault("\"none\" labels what has no name", "choose another name");
+        return None;
+    }
+    Some(name.to_owned())
+}

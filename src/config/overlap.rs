@@ -1,0 +1,115 @@
+//! What the nets must not share: names, public ports, servers, the ports of broadcasts. And no
+//! server may be the router itself.
+
+use std::collections::hash_map::Entry as Slot;
+use std::collections::{BTreeMap, HashMap, HashSet};
+use std::hash::Hash;
+use std::net::{IpAddr, SocketAddr};
+
+use super::net::{Claim, Draft};
+
+/// Notes every conflict between two nets, once a pair, and every loop.
+pub(super) fn refuse_overlaps(drafts: &[Draft<'_>], listen: &[IpAddr]) {
+    refuse_shared_names(drafts);
+    refuse_shared_ports(drafts);
+    refuse_shared_servers(drafts);
+    refuse_broadcast_ports(drafts);
+    refuse_loops(drafts, listen);
+}
+
+fn refuse_shared_names(drafts: &[Draft<'_>]) {
+    let mut first: HashMap<&str, &Draft<'_>> = HashMap::new();
+    for draft in drafts.iter().filter(|draft| !draft.net.name.is_empty()) {
+        if let Some(other) = first.get(draft.net.name.as_str()) {
+            let problem = format!("already the name of {}", other.label());
+            draft.name.fault(problem, "give each net its own name");
+        } else {
+            first.insert(&draft.net.name, draft);
+        }
+    }
+}
+
+fn refuse_shared_ports(drafts: &[Draft<'_>]) {
+    for ((later, earlier), ports) in shared(drafts, |draft| &draft.public_ports) {
+        drafts[later].public_ports.entry.fault(
+            format!("public port {} belongs to {} too", folded(&ports), drafts[earlier].label()),
+            "move one of the two to free ports",
+        );
+    }
+}
+
+fn refuse_shared_servers(drafts: &[Draft<'_>]) {
+    for ((later, earlier), servers) in shared(drafts, |draft| &draft.servers) {
+        let more = match servers.len() - 1 {
+            0 => String::new(),
+            more => format!(" (and {more} more)"),
+        };
+        drafts[later].servers.entry.fault(
+            format!("server {}{more} belongs to {} too", servers[0], drafts[earlier].label()),
+            "let each server stand behind one public port",
+        );
+    }
+}
+
+/// nothing listens at start port + 126 or + 127.
+fn refuse_broadcast_ports(drafts: &[Draft<'_>]) {
+    for range in drafts {
+        let silent = range.silent_ports();
+        for draft in drafts {
+            let taken = draft.public_ports.values.iter().find(|port| silent.contains(port));
+            let Some(port) = taken else { continue };
+            draft.public_ports.entry.fault(
+                format!("public port {port} is a broadcast's in {}", range.label()),
+                "choose another: nothing may listen at start port + 126 or + 127",
+            );
+        }
+    }
+}
+
+fn refuse_loops(drafts: &[Draft<'_>], listen: &[IpAddr]) {
+    let public_ports: HashSet<u16> =
+        drafts.iter().flat_map(|draft| draft.public_ports.values.iter().copied()).collect();
+    // Listening everywhere includes loopback; which other addresses are this host's is not known.
+    let is_ours = |server: &SocketAddr| {
+        let ip = server.ip();
+        let here = |own: &IpAddr| *own == ip || own.is_unspecified() && ip.is_loopback();
+        public_ports.contains(&server.port()) && listen.iter().any(here)
+    };
+    for draft in drafts {
+        if let Some(server) = draft.servers.values.iter().find(|server| is_ours(server)) {
+            draft.servers.entry.fault(
+                format!("server {server} is a public port of this router"),
+                "name the server itself, or datagrams go round in a loop",
+            );
+        }
+    }
+}
+
+/// What two nets both claim, by (later net, earlier net).
+fn shared<'a, T: Copy + Eq + Hash + 'a>(
+    drafts: &'a [Draft<'a>],
+    claim: impl Fn(&'a Draft<'a>) -> &'a Claim<'a, T>,
+) -> BTreeMap<(usize, usize), Vec<T>> {
+    let mut first = HashMap::new();
+    let mut shared: BTreeMap<_, Vec<T>> = BTreeMap::new();
+    for (index, draft) in drafts.iter().enumerate() {
+        for &value in &claim(draft).values {
+            match first.entry(value) {
+                Slot::Vacant(slot) => _ = slot.insert(index),
+                Slot::Occupied(slot) => shared.entry((index, *slot.get())).or_default().push(value),
+            }
+        }
+    }
+    shared
+}
+
+/// `40001-40004, 40033`.
+fn folded(ports: &[u16]) -> String {
+    let runs = ports.chunk_by(|port, next| port + 1 == *next);
+    let run = |ports: &[u16]| match ports {
+        [first, .., last] => format!("{first}-{last}"),
+        [port] => port.to_string(),
+        [] => String::new(),
+    };
+    runs.map(run).collect::<Vec<_>>().join(", ")
+}

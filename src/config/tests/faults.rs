@@ -1,0 +1,395 @@
+//! What is refused or warned of, where in the file, and with what advice.
+//!
+//! Each case changes one thing in [`SOUND`] and expects exactly one fault.
+
+use super::*;
+
+/// What is changed, and the fault to expect: line, key path, a part of the message.
+type Case = (&'static str, &'static str, usize, &'static str, &'static str);
+
+/// Checks that each change leads to exactly one fault, in the right place, with a remedy.
+fn refuses(cases: &[Case]) {
+    let folder = folder();
+    for &(from, to, line, key, part) in cases {
+        let Err(Faults(faults)) = read_in(folder.path(), &changed(from, to)) else {
+            panic!("{to:?} is taken")
+        };
+        let [fault] = faults.as_slice() else { panic!("{to:?}: {faults:#?}") };
+        assert_eq!((fault.line, fault.key.as_str()), (Some(line), key), "{to:?}: {fault}");
+        let message = fault.to_string();
+        assert!(message.contains(part), "{to:?}: {message}");
+        assert!(!fault.remedy.is_empty() && !message.contains('\n'), "{to:?}: {message:?}");
+        assert!(!message.contains("s3cr3t"), "{message}");
+    }
+}
+
+#[test]
+fn refuses_what_is_no_toml_or_no_key() {
+    refuses(&[
+        ("name = \"press\"", "name = press", 15, "", "TOML"),
+        ("node = 7", "node = 7\nnode = 8", 19, "", "duplicate key"),
+        (
+            "subnet =",
+            "sub_net = 1\nsubnet =",
+            7,
+            "udp_range_net[0].sub_net",
+            "did you mean `subnet`?",
+        ),
+        (
+            "node = 7",
+            "node = 7\nspeed = 1",
+            19,
+            "server[0].speed",
+            "keys here are name, public_port",
+        ),
+        ("[public]", "[publik]\n[public]", 1, "publik", "did you mean `public`?"),
+        ("[public]", "[public]\n\"a\\nb\" = 1", 2, "public.\"a\\nb\"", "unknown key"),
+        (
+            "file = \"secrets/a\"",
+            "file = \"secrets/a\"\nfiel = 1",
+            13,
+            "udp_range_net[0].password[0].fiel",
+            "did you mean `file`?",
+        ),
+    ]);
+}
+
+#[test]
+fn refuses_values_of_the_wrong_kind() {
+    refuses(&[
+        (
+            "listen = [\"192.0.2.1\"]",
+            "listen = \"192.0.2.1\"",
+            2,
+            "public.listen",
+            "expected a list in brackets, found a text",
+        ),
+        (
+            "[\"192.0.2.1\"]",
+            "[\"192.0.2.1\",\n 5]",
+            3,
+            "public.listen[1]",
+            "expected a text in quotes, found a whole number",
+        ),
+        ("\"192.0.2.1\"", "\"router\"", 2, "public.listen[0]", "\"router\" cannot be read"),
+        ("node = 7", "node = 7.5", 18, "server[0].node", "a number with a fraction"),
+        (
+            "node = 7",
+            "node = 7\nidle_timeout = 300",
+            19,
+            "server[0].idle_timeout",
+            "write it like `idle_timeout = \"5m\"`",
+        ),
+        (
+            "node = 7",
+            "node = 7\nidle_timeout = \"5 parsecs\"",
+            19,
+            "server[0].idle_timeout",
+            "cannot be read",
+        ),
+        (
+            "node = 7",
+            "node = 7\nallow_without_password = \"no\"",
+            19,
+            "server[0].allow_without_password",
+            "true or false",
+        ),
+        (
+            "[[server.password]]",
+            "[server.password]",
+            20,
+            "server[0].password",
+            "[[server.password]]",
+        ),
+    ]);
+    let Err(Faults(faults)) = read(&changed("[public]", "[[public]]")) else { panic!("taken") };
+    assert_eq!(faults[0].key, "public");
+    assert!(faults[0].remedy.contains("[public]"), "{}", faults[0]);
+}
+
+#[test]
+fn refuses_what_is_missing() {
+    refuses(&[
+        ("listen = [\"192.0.2.1\"]", "", 1, "public.listen", "add `listen = "),
+        ("[\"192.0.2.1\"]", "[]", 2, "public.listen", "empty"),
+        ("start_port = 40000", "", 4, "udp_range_net[0].start_port", "missing"),
+        ("name = \"press\"", "", 14, "server[0].name", "missing"),
+        ("allow = [\"198.51.100.7\"]", "", 14, "server[0].allow", "missing"),
+        ("[\"198.51.100.7\"]", "[]", 19, "server[0].allow", "empty"),
+        ("[\"1-4\", 33]", "[]", 8, "udp_range_net[0].nodes", "empty"),
+        // A4
+        (
+            "[[udp_range_net.password]]\nname = \"service\"\nfile = \"secrets/a\"",
+            "",
+            4,
+            "udp_range_net[0].password",
+            "add [[udp_range_net.password]]",
+        ),
+    ]);
+    let Err(Faults(faults)) = read("[public]\nlisten = [\"::\"]\n") else { panic!("taken") };
+    assert!(faults[0].problem.contains("nothing to relay"), "{}", faults[0]);
+    let Err(Faults(faults)) = read("") else { panic!("taken") };
+    assert_eq!(faults.len(), 2, "{faults:?}");
+}
+
+#[test]
+fn refuses_addresses_and_ports_that_cannot_be() {
+    refuses(&[
+        (
+            "\"192.0.2.1\"",
+            "\"192.0.2.1\", \"::ffff:192.0.2.1\"",
+            2,
+            "public.listen[1]",
+            "listed twice",
+        ),
+        ("\"192.0.2.1\"", "\"192.0.2.1\", \"0.0.0.0\"", 2, "public.listen[1]", "overlap"),
+        // A15
+        (
+            "= 40000",
+            "= 65500",
+            6,
+            "udp_range_net[0].start_port",
+            "65500 + 125 is over 65535; choose a start port up to 65410",
+        ),
+        ("= 40000", "= 65411", 6, "udp_range_net[0].start_port", "65410"),
+        ("= 40000", "= 0", 6, "udp_range_net[0].start_port", "out of bounds"),
+        ("= 40000", "= 70000", 6, "udp_range_net[0].start_port", "out of bounds"),
+        ("17.0\"", "17.1\"", 7, "udp_range_net[0].subnet", "172.17.17.0"),
+        ("172.17.17.0", "224.0.1.0", 7, "udp_range_net[0].subnet", "no host"),
+        ("172.17.17.0", "fd00::", 7, "udp_range_net[0].subnet", "cannot be read"),
+        ("nodes =", "server_port = 0\nnodes =", 8, "udp_range_net[0].server_port", "out of bounds"),
+        // R-4
+        ("nodes =", "server_port = 34378\nnodes =", 8, "udp_range_net[0].server_port", "34379"),
+        (":34379", ":34378", 17, "server[0].address", "34379"),
+        (":34379", ":0", 17, "server[0].address", "no server"),
+        ("172.17.18.7:", "255.255.255.255:", 17, "server[0].address", "no server"),
+        (":34379", "", 17, "server[0].address", "cannot be read"),
+        (
+            "198.51.100.0/24",
+            "198.51.100.9/24",
+            9,
+            "udp_range_net[0].allow[0]",
+            "write \"198.51.100.0/24\"",
+        ),
+        ("198.51.100.0/24", "::ffff:198.51.100.0/120", 9, "udp_range_net[0].allow[0]", "IPv4"),
+        ("198.51.100.0/24", "everywhere", 9, "udp_range_net[0].allow[0]", "cannot be read"),
+        (
+            "node = 7",
+            "node = 7\nidle_timeout = \"0s\"",
+            19,
+            "server[0].idle_timeout",
+            "out of bounds",
+        ),
+        ("node = 7", "node = 7\nidle_timeout = \"2days\"", 19, "server[0].idle_timeout", "1day"),
+        (
+            "[public]",
+            "protocol.header = \"0200000\"\n[public]",
+            1,
+            "protocol.header",
+            "8 hexadecimal",
+        ),
+        ("[public]", "runtime.workers = 0\n[public]", 1, "runtime.workers", "from 1 to"),
+        ("[public]", "limits.max_flows = -1\n[public]", 1, "limits.max_flows", "from 1 to"),
+        ("[public]", "admin.listen = \"localhost\"\n[public]", 1, "admin.listen", "127.0.0.1:9378"),
+    ]);
+}
+
+#[test]
+fn r11_refuses_node_addresses_that_are_none() {
+    refuses(&[
+        ("33]", "0]", 8, "udp_range_net[0].nodes[1]", "from 1 to 125"),
+        ("33]", "126]", 8, "udp_range_net[0].nodes[1]", "from 1 to 125"),
+        ("33]", "3]", 8, "udp_range_net[0].nodes[1]", "node 3 is listed twice"),
+        ("1-4", "4-1", 8, "udp_range_net[0].nodes[0]", "\"4-1\" is not a range"),
+        ("1-4", "1-127", 8, "udp_range_net[0].nodes[0]", "1 to 125"),
+        ("1-4", "4-", 8, "udp_range_net[0].nodes[0]", "\"1-4\""),
+        ("node = 7", "node = 126", 18, "server[0].node", "from 1 to 125"),
+    ]);
+}
+
+#[test]
+fn refuses_names_that_metrics_could_not_carry() {
+    refuses(&[
+        ("\"press\"", "\"\"", 15, "server[0].name", "not a name"),
+        ("\"press\"", "\"-press\"", 15, "server[0].name", "begin with a letter"),
+        ("\"press\"", "\"la presse\"", 15, "server[0].name", "not a name"),
+        ("\"press\"", "\"none\"", 15, "server[0].name", "choose another"),
+        (
+            "\"press\"",
+            "\"section-1\"",
+            15,
+            "server[0].name",
+            "udp_range_net[0] \"section-1\" (line 4)",
+        ),
+        (
+            "name = \"service\"",
+            "name = \"a\\nb\"",
+            11,
+            "udp_range_net[0].password[0].name",
+            "not a name",
+        ),
+        (
+            "[[server]]",
+            "[[udp_range_net.password]]\nname = \"service\"\nfile = \"secrets/b\"\n[[server]]",
+            15,
+            "udp_range_net[0].password[1].name",
+            "already a password",
+        ),
+    ]);
+    let longest = "a".repeat(63);
+    assert!(read(&changed("press", &longest)).is_ok());
+    assert!(read(&changed("press", &(longest + "a"))).is_err());
+}
+
+#[test]
+fn refuses_what_two_nets_cannot_share() {
+    refuses(&[
+        (
+            "40200",
+            "40003",
+            16,
+            "server[0].public_port",
+            "public port 40003 belongs to udp_range_net[0] \"section-1\" (line 4) too",
+        ),
+        (
+            "172.17.18.7:34379\"\nnode = 7",
+            "172.17.17.33:34379\"\nnode = 33",
+            17,
+            "server[0].address",
+            "server 172.17.17.33:34379 belongs to udp_range_net[0]",
+        ),
+        // R-11
+        ("40200", "40126", 16, "server[0].public_port", "+ 126 or + 127"),
+        ("40200", "40127", 16, "server[0].public_port", "+ 126 or + 127"),
+    ]);
+    assert!(read(&changed("40200", "40005")).is_ok(), "a port of the block that no node uses");
+    let loops = changed("172.17.18.7:34379\"\nnode = 7", "192.0.2.1:40001\"\nnode = 1");
+    let Err(Faults(faults)) = read(&loops) else { panic!("a loop is taken") };
+    assert_eq!((faults.len(), faults[0].key.as_str()), (1, "server[0].address"));
+    let everywhere = loops.replace("192.0.2.1:", "127.0.0.1:").replace("192.0.2.1", "0.0.0.0");
+    assert!(read(&everywhere).unwrap_err().to_string().contains("loop"));
+}
+
+#[test]
+fn two_ranges_that_overlap_are_one_fault_for_ports_and_one_for_servers() {
+    let again = "[[udp_range_net]]\nname = \"section-2\"\nstart_port = 40002\nsubnet = \"172.17.17.0\"\nnodes = [\"1-2\", 31, 40]\nallow = [\"::/0\"]\nallow_without_password = true\n";
+    let Err(Faults(faults)) = read(&(SOUND.to_owned() + again)) else { panic!("taken") };
+    let [ports, servers] = faults.as_slice() else { panic!("{faults:#?}") };
+    assert!(ports.problem.starts_with("public port 40003-40004, 40033 belongs to"), "{ports}");
+    assert!(servers.problem.starts_with("server 172.17.17.1:34379 (and 1 more)"), "{servers}");
+    assert_eq!((ports.line, servers.line), (Some(25), Some(26)));
+}
+
+#[test]
+fn a11_refuses_password_files_that_are_not_8_private_octets() {
+    let file = "udp_range_net[0].password[0].file";
+    refuses(&[
+        ("secrets/a", "secrets/seven", 12, file, "has 7 octets"),
+        ("secrets/a", "secrets/nine", 12, file, "more than the 8 octets"),
+        (
+            "secrets/a",
+            "secrets/newline",
+            12,
+            file,
+            "without the line break: `(umask 077; printf %s",
+        ),
+        ("secrets/a", "secrets/for-group", 12, file, "run `chmod 600 "),
+        ("secrets/a", "secrets/for-others", 12, file, "mode 604"),
+        ("secrets/a", "secrets/absent", 12, file, "secrets/absent\" cannot be read"),
+        ("secrets/a", "secrets/a\\nb", 12, file, "a\\nb\" cannot be read"),
+        ("secrets/a", "secrets", 12, file, "not a regular file"),
+        ("secrets/a", "secrets/pipe", 12, file, "not a regular file"),
+        (
+            "secrets/a\"",
+            "secrets/a\"\ndevice_file = \"secrets/seven\"",
+            13,
+            "udp_range_net[0].password[0].device_file",
+            "has 7 octets",
+        ),
+        (
+            "[[server]]",
+            "[[udp_range_net.password]]\nname = \"old\"\nfile = \"secrets/same-as-a\"\n[[server]]",
+            16,
+            "udp_range_net[0].password[1].file",
+            "the same password as \"service\"",
+        ),
+    ]);
+    assert!(read(&changed("secrets/a", "secrets/link")).is_ok());
+    assert!(read(&changed("secrets/a", "secrets/any-octets")).is_ok());
+}
+
+#[test]
+fn warns_of_what_is_probably_not_meant() {
+    let cases: [Case; 6] = [
+        ("= 40000", "= 34378", 6, "udp_range_net[0].start_port", "34379"),
+        ("= 40000", "= 1000", 6, "udp_range_net[0].start_port", "CAP_NET_BIND_SERVICE"),
+        ("node = 7", "node = 8", 17, "server[0].address", "last octet"),
+        ("node = 7", "node = 7\nidle_timeout = \"119s\"", 19, "server[0].idle_timeout", "RFC 4787"),
+        (
+            "[[server.password]]\nname = \"service\"\nfile = \"secrets/a\"",
+            "allow_without_password = true",
+            20,
+            "server[0].allow_without_password",
+            "PAS 7",
+        ),
+        (
+            "public_port = 40200",
+            "public_port = 7",
+            16,
+            "server[0].public_port",
+            "no IPNetTable row",
+        ),
+    ];
+    for (from, to, line, key, part) in cases {
+        let (_, warnings) = read(&changed(from, to)).unwrap();
+        let Warning(warning) = &warnings[0];
+        assert_eq!((warning.line, warning.key.as_str()), (Some(line), key), "{warning}");
+        assert!(warning.to_string().contains(part) && !warning.remedy.is_empty(), "{warning}");
+    }
+}
+
+#[test]
+fn a_file_that_cannot_be_read_is_a_fault_too() {
+    let folder = folder();
+    let absent = load(&folder.path().join("absent.toml")).unwrap_err();
+    assert!(absent.to_string().contains("absent.toml: cannot be read"), "{absent}");
+    let binary = folder.path().join("binary.toml");
+    fs::write(&binary, b"[public]\n\xff").unwrap();
+    let binary = load(&binary).unwrap_err();
+    assert!(binary.to_string().contains("binary.toml:2: not UTF-8"), "{binary}");
+}
+
+#[test]
+fn all_faults_in_one_run() {
+    let text = r#"
+[public]
+listen = ["0.0.0.0", "192.0.2.1", 7]
+[protocol]
+header = "0200000"
+[[udp_range_net]]
+name = "section 1"
+start_port = 65500
+subnet = "172.17.17.1"
+nodes = ["1-4", 126, 3, "x"]
+alow = ["198.51.100.0/24"]
+idle_timeout = 300
+  [[udp_range_net.password]]
+  name = "service"
+  file = "secrets/seven"
+  [[udp_range_net.password]]
+  name = "service"
+  file = "secrets/newline"
+[[server]]
+name = "press"
+public_port = "40200"
+address = "172.17.18.7"
+node = 7
+allow = ["198.51.100.7/24"]
+[limits]
+max_flow = 5
+[admin]
+enabled = "yes"
+"#;
+    let faults = parse(text, Path::new("pnet-nat.toml")).unwrap_err();
+    insta::assert_snapshot!(faults.to_string().replace(" (os error 2)", ""));
+}

@@ -1,0 +1,231 @@
+//! What a sound configuration becomes, and that no text at all upsets the reader.
+//!
+//! Tests start from [`SOUND`], which stands in a folder with password files. What is refused is in
+//! `faults`; that the annotated configuration tells the truth, in `reference`.
+
+mod faults;
+mod reference;
+
+use std::fs::{self, Permissions};
+use std::os::unix::fs::{PermissionsExt, symlink};
+use std::path::Path;
+
+use proptest::prelude::*;
+use tempfile::TempDir;
+
+use super::*;
+use crate::relay::NetKind;
+
+/// Line numbers in the cases below count from the first line of this text.
+const SOUND: &str = r#"[public]
+listen = ["192.0.2.1"]
+
+[[udp_range_net]]
+name = "section-1"
+start_port = 40000
+subnet = "172.17.17.0"
+nodes = ["1-4", 33]
+allow = ["198.51.100.0/24"]
+[[udp_range_net.password]]
+name = "service"
+file = "secrets/a"
+
+[[server]]
+name = "press"
+public_port = 40200
+address = "172.17.18.7:34379"
+node = 7
+allow = ["198.51.100.7"]
+[[server.password]]
+name = "service"
+file = "secrets/a"
+"#;
+
+/// A folder with the password files that the cases name.
+fn folder() -> TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    let secrets = folder.path().join("secrets");
+    fs::create_dir(&secrets).unwrap();
+    let files: [(&str, &[u8], u32); 9] = [
+        ("a", b"s3cr3t-A", 0o600),
+        ("b", b"s3cr3t-B", 0o400),
+        ("same-as-a", b"s3cr3t-A", 0o600),
+        ("seven", b"s3cr3t-", 0o600),
+        ("nine", b"s3cr3t-AB", 0o600),
+        ("newline", b"s3cr3t-A\n", 0o600),
+        ("for-group", b"s3cr3t-A", 0o620),
+        ("for-others", b"s3cr3t-A", 0o604),
+        ("any-octets", b"\0\xff\n\r\x7f\0\0\0", 0o440),
+    ];
+    for (name, octets, mode) in files {
+        let path = secrets.join(name);
+        fs::write(&path, octets).unwrap();
+        fs::set_permissions(&path, Permissions::from_mode(mode)).unwrap();
+    }
+    symlink("a", secrets.join("link")).unwrap();
+    nix::unistd::mkfifo(&secrets.join("pipe"), nix::sys::stat::Mode::S_IRUSR).unwrap();
+    folder
+}
+
+fn read_in(folder: &Path, text: &str) -> Result<(Config, Vec<Warning>), Faults> {
+    parse(text, &folder.join("pnet-nat.toml"))
+}
+
+fn read(text: &str) -> Result<(Config, Vec<Warning>), Faults> {
+    read_in(folder().path(), text)
+}
+
+/// [`SOUND`] with one thing changed.
+fn changed(from: &str, to: &str) -> String {
+    assert!(SOUND.contains(from), "{from:?} is not in the sound configuration");
+    SOUND.replacen(from, to, 1)
+}
+
+#[test]
+fn the_sound_configuration_is_sound_and_complete() {
+    let (config, warnings) = read(SOUND).unwrap();
+    assert_eq!(warnings, []);
+    assert_eq!(config.listen, ["192.0.2.1".parse::<IpAddr>().unwrap()]);
+    assert_eq!(config.table.header, Header([2, 0, 0, 0]));
+    assert_eq!(config.runtime.workers, None);
+    assert_eq!(config.runtime.receive_buffer, 1_048_576);
+    assert_eq!(config.runtime.drain, Duration::from_secs(5));
+    assert_eq!(config.admin.unwrap().listen, "127.0.0.1:9378".parse().unwrap());
+    let limits = Limits {
+        max_flows: 65_536,
+        wrong_password_burst: 10,
+        wrong_password_interval: Duration::from_secs(6),
+    };
+    assert_eq!(config.limits, limits);
+
+    let [section, press] = config.table.nets() else { panic!("two nets") };
+    assert_eq!((section.name.as_str(), press.name.as_str()), ("section-1", "press"));
+    assert_eq!(section.kind, NetKind::UdpRange { start_port: 40000 });
+    assert_eq!(press.kind, NetKind::Server);
+    assert_eq!(press.allow, ["198.51.100.7/32".parse().unwrap()]);
+    assert_eq!(section.idle_timeout, Duration::from_secs(300));
+    assert_eq!(section.max_flows, 4096);
+    assert!(!section.require_response_password && !section.allow_without_password);
+    assert!(bool::from(section.credentials[0].password.matches(b"s3cr3t-A")));
+    assert!(section.credentials[0].device_password.is_none());
+}
+
+#[test]
+fn r9_r10_r12_a_node_has_a_public_port_and_a_server() {
+    let (config, _) = read(SOUND).unwrap();
+    let mappings = config.table.mappings().iter();
+    let rows: Vec<_> =
+        mappings.map(|m| (m.net.0, m.node_address, m.public_port, m.server.to_string())).collect();
+    let expected = [
+        (0, 1, 40001, "172.17.17.1:34379".to_owned()),
+        (0, 2, 40002, "172.17.17.2:34379".to_owned()),
+        (0, 3, 40003, "172.17.17.3:34379".to_owned()),
+        (0, 4, 40004, "172.17.17.4:34379".to_owned()),
+        (0, 33, 40033, "172.17.17.33:34379".to_owned()),
+        (1, 7, 40200, "172.17.18.7:34379".to_owned()),
+    ];
+    assert_eq!(rows, expected);
+}
+
+#[test]
+fn every_setting_arrives() {
+    let text = changed("[[server]]", "[[udp_range_net.password]]\nname = \"team-2\"\nfile = \"secrets/b\"\ndevice_file = \"secrets/any-octets\"\n[[server]]")
+        .replace("node = 7", "node = 7\nidle_timeout = \"2m\"\nmax_flows = 9\nrequire_response_password = true")
+        .replace("nodes =", "server_port = 5000\nnodes =")
+        + r#"
+[protocol]
+header = "0a000001"
+[limits]
+max_flows = 100
+wrong_password_burst = 3
+wrong_password_interval = "1m"
+[runtime]
+workers = 3
+receive_buffer = 65536
+drain = "0s"
+[admin]
+enabled = false
+listen = "[::1]:0"
+"#;
+    let (config, _) = read(&text).unwrap();
+    assert_eq!(config.table.header, Header([0x0a, 0, 0, 1]));
+    assert_eq!((config.limits.max_flows, config.limits.wrong_password_burst), (100, 3));
+    assert_eq!(config.limits.wrong_password_interval, Duration::from_secs(60));
+    assert_eq!(config.runtime.workers, NonZeroUsize::new(3));
+    assert_eq!((config.runtime.receive_buffer, config.runtime.drain), (65_536, Duration::ZERO));
+    assert!(config.admin.is_none());
+    let [section, press] = config.table.nets() else { panic!("two nets") };
+    assert_eq!((press.idle_timeout, press.max_flows), (Duration::from_secs(120), 9));
+    assert!(press.require_response_password && !section.require_response_password);
+    assert_eq!(config.table.mappings()[0].server.port(), 5000);
+    let second = &section.credentials[1];
+    assert_eq!(second.name, "team-2");
+    assert!(bool::from(second.password.matches(b"s3cr3t-B")));
+    let device_password = second.device_password.as_ref().unwrap();
+    assert!(bool::from(device_password.matches(b"\0\xff\n\r\x7f\0\0\0")));
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::default() })]
+
+    /// No text near a valid one, and no text at all, makes the reader panic or forget a remedy.
+    #[test]
+    fn any_text_is_read_or_refused(
+        edits in prop::collection::vec((0..SOUND.len(), 0..12_usize, piece()), 0..6),
+        tail in "\\PC{0,20}",
+    ) {
+        let mut text = SOUND.to_owned();
+        for (at, removed, piece) in edits {
+            let at = at.min(text.len());
+            let end = (at + removed).min(text.len());
+            if text.is_char_boundary(at) && text.is_char_boundary(end) {
+                text.replace_range(at..end, &piece);
+            }
+        }
+        for text in [text.clone() + &tail, text, tail] {
+            if let Err(Faults(faults)) = parse(&text, Path::new("pnet-nat.toml")) {
+                prop_assert!(!faults.is_empty());
+                for fault in faults {
+                    prop_assert!(!fault.remedy.is_empty());
+                    prop_assert!(!fault.to_string().contains('\n'), "{}", fault);
+                    prop_assert!(fault.line.is_some());
+                }
+            }
+        }
+    }
+}
+
+/// Something that may well stand in a configuration, or not at all.
+fn piece() -> impl Strategy<Value = String> {
+    let plausible = prop::sample::select(vec![
+        "",
+        "[",
+        "]",
+        "[[",
+        "\"",
+        "\n",
+        "=",
+        "#",
+        "-1",
+        "65535",
+        "99999999999999999999",
+        "1e400",
+        "0x7f",
+        "true",
+        "[[server]]\n",
+        "[limits]\n",
+        "[udp_range_net.password]\n",
+        "[server]\n",
+        "server = 1\n",
+        "nodes = [1, 1]\n",
+        "{ a = 1 }",
+        "\"1-125\"",
+        "\"0.0.0.0/0\"",
+        "\"none\"",
+        "1979-05-27",
+        "\"9999999999y\"",
+        "[[udp_range_net]]\n",
+        "public.listen = []\n",
+    ]);
+    prop_oneof![plausible.prop_map(str::to_owned), "\\PC{0,6}"]
+}
