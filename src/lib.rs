@@ -6,5 +6,6 @@
 //! order for newcomers: [`wire`], [`relay`], [`net`], then the rest.
 
 pub mod config;
+pub mod net;
 pub mod relay;
 pub mod wire;

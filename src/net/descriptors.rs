@@ -1,0 +1,102 @@
+//! How many workers and upstream sockets the process's file descriptors allow.
+
+use std::num::NonZeroUsize;
+use std::thread;
+
+use nix::sys::resource::{Resource, getrlimit, setrlimit};
+
+/// What everything but the sockets of the data path may use: logs, the admin server's connections.
+const RESERVE: usize = 128;
+/// What a worker needs beside its public sockets: epoll, wake-up, and a first few upstream sockets.
+const FOR_A_WORKER: usize = 2 + 32;
+
+/// What fits in the limit of file descriptors.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Plan {
+    pub workers: usize,
+    /// Upstream sockets that each worker may have open.
+    pub upstreams: usize,
+}
+
+/// The configuration needs more file descriptors than the process may have.
+#[derive(Debug, thiserror::Error)]
+#[error(
+    "{public_sockets} public sockets and {workers} worker(s) need {needed} file descriptors, but the \
+     hard limit is {limit}; raise it (ulimit -Hn, LimitNOFILE=, --ulimit nofile=) or listen on \
+     fewer ports or addresses"
+)]
+pub struct TooFewDescriptors {
+    public_sockets: usize,
+    workers: usize,
+    needed: usize,
+    limit: usize,
+}
+
+/// Raises the soft limit to the hard one and divides it. Without a wish for a number of workers
+/// there is one a core, or as many as the limit allows.
+pub(super) fn plan(
+    addresses: usize,
+    workers: Option<NonZeroUsize>,
+) -> Result<Plan, TooFewDescriptors> {
+    divide(addresses, workers, cores(), raise_limit())
+}
+
+fn cores() -> NonZeroUsize {
+    thread::available_parallelism().unwrap_or(NonZeroUsize::MIN)
+}
+
+fn raise_limit() -> usize {
+    let Ok((soft, hard)) = getrlimit(Resource::RLIMIT_NOFILE) else { return 1024 };
+    let limit = if setrlimit(Resource::RLIMIT_NOFILE, hard, hard).is_ok() { hard } else { soft };
+    usize::try_from(limit).unwrap_or(usize::MAX)
+}
+
+fn divide(
+    addresses: usize,
+    wish: Option<NonZeroUsize>,
+    cores: NonZeroUsize,
+    limit: usize,
+) -> Result<Plan, TooFewDescriptors> {
+    let each = addresses + FOR_A_WORKER;
+    let fitting = limit.saturating_sub(RESERVE) / each;
+    let workers = wish
+        .unwrap_or_else(|| cores.min(NonZeroUsize::new(fitting).unwrap_or(NonZeroUsize::MIN)))
+        .get();
+    let needed = RESERVE + workers * each;
+    if needed > limit {
+        let public_sockets = workers * addresses;
+        return Err(TooFewDescriptors { public_sockets, workers, needed, limit });
+    }
+    let upstreams = (limit - RESERVE) / workers - addresses - 2;
+    Ok(Plan { workers, upstreams })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn n(n: usize) -> NonZeroUsize {
+        NonZeroUsize::new(n).unwrap()
+    }
+
+    #[test]
+    fn every_core_gets_a_worker_when_the_limit_allows() {
+        let plan = divide(8000, None, n(2), 20_000).unwrap();
+        assert_eq!(plan, Plan { workers: 2, upstreams: 1934 });
+        assert!(RESERVE + 2 * (8000 + 2 + plan.upstreams) <= 20_000);
+    }
+
+    #[test]
+    fn fewer_workers_before_no_router() {
+        assert_eq!(divide(8000, None, n(16), 20_000).unwrap().workers, 2);
+        assert_eq!(divide(8000, None, n(16), 9_000).unwrap().workers, 1);
+    }
+
+    #[test]
+    fn too_few_is_said_with_both_figures() {
+        let error = divide(8000, None, n(2), 8_000).unwrap_err().to_string();
+        assert!(error.contains("8162") && error.contains("8000"), "{error}");
+        let error = divide(8000, Some(n(2)), n(2), 9_000).unwrap_err().to_string();
+        assert!(error.contains("16196") && error.contains("9000"), "{error}");
+    }
+}

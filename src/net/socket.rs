@@ -1,0 +1,104 @@
+//! UDP sockets as the router needs them: public ones, which clients send to, and upstream ones,
+//! which talk to the servers.
+//!
+//! None is ever connected: an ICMP error then reaches no socket, so a dead server can neither
+//! close a flow nor fail the next healthy send (N-7).
+
+use std::io;
+use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
+use std::os::fd::AsRawFd;
+
+use nix::sys::socket::{setsockopt, sockopt};
+use socket2::{Domain, Protocol, Socket, Type};
+
+use super::steer;
+
+/// Opens the public sockets of one address, one for each worker, in the workers' order. The kernel
+/// spreads clients over them; `steer` decides how.
+pub(super) fn public(
+    address: SocketAddr,
+    workers: usize,
+    receive_buffer: usize,
+) -> io::Result<Vec<Socket>> {
+    // The first binds alone, so that a port which another program uses is noticed even when that
+    // program is willing to share. It shares afterwards.
+    let first = udp(address.is_ipv4(), receive_buffer)?;
+    tell_local_address(&first, address.ip())?;
+    first.bind(&address.into())?;
+    let mut sockets = vec![first];
+    if workers > 1 {
+        sockets[0].set_reuse_port(true)?;
+    }
+    for _ in 1..workers {
+        let socket = udp(address.is_ipv4(), receive_buffer)?;
+        tell_local_address(&socket, address.ip())?;
+        socket.set_reuse_port(true)?;
+        socket.bind(&address.into())?;
+        sockets.push(socket);
+    }
+    if workers > 1 {
+        steer::by_client(&sockets[0], workers)?;
+    }
+    Ok(sockets)
+}
+
+/// Opens a socket towards servers, on a port that the kernel picks at random, and tells the port.
+pub(super) fn upstream(ipv4: bool, receive_buffer: usize) -> io::Result<(Socket, u16)> {
+    let socket = udp(ipv4, receive_buffer)?;
+    let any: IpAddr =
+        if ipv4 { Ipv4Addr::UNSPECIFIED.into() } else { Ipv6Addr::UNSPECIFIED.into() };
+    socket.bind(&SocketAddr::new(any, 0).into())?;
+    let port = socket.local_addr()?.as_socket().map_or(0, |address| address.port());
+    Ok((socket, port))
+}
+
+/// Octets of receive buffer that a socket got. The kernel grants twice what it counts as payload,
+/// for its own bookkeeping.
+pub(super) fn receive_buffer(socket: &Socket) -> io::Result<usize> {
+    Ok(socket.recv_buffer_size()? / 2)
+}
+
+/// Datagrams that the kernel dropped on a socket, since it was opened: its buffer was full, or
+/// memory short.
+pub(super) fn kernel_drops(socket: &Socket) -> io::Result<u32> {
+    let mut figures = [0_u32; libc::SK_MEMINFO_DROPS as usize + 1];
+    let mut len = size_of_val(&figures) as libc::socklen_t;
+    // SAFETY: the kernel writes at most `len` octets to `figures`, which is that long.
+    let result = unsafe {
+        libc::getsockopt(
+            socket.as_raw_fd(),
+            libc::SOL_SOCKET,
+            libc::SO_MEMINFO,
+            figures.as_mut_ptr().cast(),
+            &mut len,
+        )
+    };
+    if result < 0 {
+        Err(io::Error::last_os_error())
+    } else {
+        Ok(figures[libc::SK_MEMINFO_DROPS as usize])
+    }
+}
+
+fn udp(ipv4: bool, receive_buffer: usize) -> io::Result<Socket> {
+    let domain = if ipv4 { Domain::IPV4 } else { Domain::IPV6 };
+    let socket = Socket::new(domain, Type::DGRAM.nonblocking(), Some(Protocol::UDP))?;
+    if !ipv4 {
+        // An IPv4 socket beside it serves IPv4.
+        socket.set_only_v6(true)?;
+    }
+    socket.set_recv_buffer_size(receive_buffer)?;
+    Ok(socket)
+}
+
+/// A socket on all addresses has to learn which one a request came to, and to answer from it.
+fn tell_local_address(socket: &Socket, bound: IpAddr) -> io::Result<()> {
+    match bound {
+        IpAddr::V4(Ipv4Addr::UNSPECIFIED) => setsockopt(socket, sockopt::Ipv4PacketInfo, &true)?,
+        IpAddr::V6(Ipv6Addr::UNSPECIFIED) => {
+            setsockopt(socket, sockopt::Ipv6RecvPacketInfo, &true)?;
+        }
+        _ => {}
+    }
+    Ok(())
+}
