@@ -5,7 +5,10 @@
 //! way back, and counts everything. The binary is a thin shell around these modules; reading
 //! order for newcomers: [`wire`], [`relay`], [`net`], then the rest.
 
+pub mod admin;
 pub mod config;
+pub mod log;
+pub mod metrics;
 pub mod net;
 pub mod relay;
 pub mod wire;

@@ -1,0 +1,353 @@
+//! `/api/v1`: nets, flows and configuration as JSON.
+//!
+//! The shapes below are the API. None holds a password: a credential is its name.
+
+use std::collections::BTreeMap;
+use std::iter;
+use std::net::{IpAddr, SocketAddr};
+
+use axum::Json;
+use axum::body::Body;
+use axum::extract::{Query, State};
+use axum::http::StatusCode;
+use axum::http::header::CONTENT_TYPE;
+use axum::response::{IntoResponse, Response};
+use futures_util::stream;
+use ipnet::IpNet;
+use serde::{Deserialize, Serialize};
+
+use super::Shared;
+use crate::config::Config;
+use crate::metrics::totals::{DirectionTotals, NetTotals, NodeTotals, mappings_of, net_ids};
+use crate::net::Router;
+use crate::relay::{
+    CloseReason, Credential, Direction, FlowRecord, Mapping, MappingId, Net, NetId, NetKind, Table,
+};
+
+const DEFAULT_FLOWS: usize = 1000;
+const MOST_FLOWS: usize = 100_000;
+
+/// `GET /api/v1/nets`
+pub(super) async fn nets(State(shared): State<Shared>) -> Response {
+    let router = shared.router;
+    let nets = net_ids(&router.config().table);
+    json_list("nets", nets.map(move |net| serde_json::to_string(&NetState::of(&router, net))))
+}
+
+/// Query of [`flows`].
+#[derive(Deserialize)]
+pub(super) struct FlowsQuery {
+    limit: Option<usize>,
+}
+
+/// `GET /api/v1/flows?limit=`
+pub(super) async fn flows(
+    State(shared): State<Shared>,
+    Query(query): Query<FlowsQuery>,
+) -> Response {
+    let limit = query.limit.unwrap_or(DEFAULT_FLOWS);
+    if limit > MOST_FLOWS {
+        let message = format!("limit is at most {MOST_FLOWS}\n");
+        return (StatusCode::BAD_REQUEST, message).into_response();
+    }
+    let turn = shared.flows_turn.lock_owned().await;
+    let router = shared.router.clone();
+    let asked = tokio::task::spawn_blocking(move || (router.flows(limit), turn)).await;
+    let Ok((flows, turn)) = asked else {
+        return (StatusCode::INTERNAL_SERVER_ERROR, "the workers gave no answer\n").into_response();
+    };
+    let table = shared.router.config().table.clone();
+    let flows = flows.into_iter().map(move |flow| {
+        let _until_all_is_sent = &turn;
+        serde_json::to_string(&Flow::of(&table, &flow))
+    });
+    json_list("flows", flows)
+}
+
+/// `GET /api/v1/config`
+pub(super) async fn config(State(shared): State<Shared>) -> Response {
+    Json(ConfigInForce::of(shared.router.config())).into_response()
+}
+
+/// An object with one list, made and sent item by item.
+fn json_list(
+    name: &str,
+    items: impl Iterator<Item = serde_json::Result<String>> + Send + 'static,
+) -> Response {
+    let separators = iter::once("\n").chain(iter::repeat(",\n"));
+    let items = separators.zip(items);
+    let items = items.map(|(separator, item)| item.map(|item| separator.to_owned() + &item));
+    let chunks = iter::once(Ok(format!("{{\"{name}\":[")))
+        .chain(items)
+        .chain(iter::once(Ok("\n]}\n".to_owned())));
+    ([(CONTENT_TYPE, "application/json")], Body::from_stream(stream::iter(chunks))).into_response()
+}
+
+/// What the configuration says of a net, without its nodes.
+#[derive(Serialize)]
+struct NetRules<'a> {
+    name: &'a str,
+    kind: &'static str,
+    /// Of a UDP Range net only.
+    start_port: Option<u16>,
+    allow: &'a [IpNet],
+    credentials: Vec<CredentialName<'a>>,
+    allow_without_password: bool,
+    require_response_password: bool,
+    idle_timeout_seconds: f64,
+    max_flows: u32,
+}
+
+impl<'a> NetRules<'a> {
+    fn of(net: &'a Net) -> Self {
+        let (kind, start_port) = match net.kind {
+            NetKind::UdpRange { start_port } => ("udp_range_net", Some(start_port)),
+            NetKind::Server => ("server", None),
+        };
+        Self {
+            name: &net.name,
+            kind,
+            start_port,
+            allow: &net.allow,
+            credentials: net.credentials.iter().map(CredentialName::of).collect(),
+            allow_without_password: net.allow_without_password,
+            require_response_password: net.require_response_password,
+            idle_timeout_seconds: net.idle_timeout.as_secs_f64(),
+            max_flows: net.max_flows,
+        }
+    }
+}
+
+#[derive(Serialize)]
+struct CredentialName<'a> {
+    name: &'a str,
+    has_device_password: bool,
+}
+
+impl<'a> CredentialName<'a> {
+    fn of(credential: &'a Credential) -> Self {
+        Self { name: &credential.name, has_device_password: credential.device_password.is_some() }
+    }
+}
+
+/// One element of the NAT table.
+#[derive(Serialize)]
+struct Element {
+    node: u8,
+    public_port: u16,
+    server: SocketAddr,
+}
+
+impl Element {
+    fn of(mapping: Mapping) -> Self {
+        let Mapping { node_address, public_port, server, .. } = mapping;
+        Self { node: node_address, public_port, server }
+    }
+}
+
+/// A net and what happened there.
+#[derive(Serialize)]
+struct NetState<'a> {
+    #[serde(flatten)]
+    rules: NetRules<'a>,
+    /// The /24 that all the servers of a UDP Range net stand in (PAS 7).
+    subnet: Option<IpNet>,
+    flows: u64,
+    flows_opened: u64,
+    flows_closed: BTreeMap<&'static str, u64>,
+    /// By credential.
+    accepted_requests: BTreeMap<&'a str, u64>,
+    kernel_dropped_datagrams: u64,
+    nodes: Vec<NodeState>,
+}
+
+impl<'a> NetState<'a> {
+    fn of(router: &'a Router, id: NetId) -> Self {
+        let table = &router.config().table;
+        let net = table.net(id);
+        let totals = NetTotals::of_net(router.counters(), table, id);
+        let closed = |reason: CloseReason| (reason.label(), totals.flows_closed(reason));
+        let credentials = net.credentials.iter().map(|credential| credential.name.as_str());
+        Self {
+            rules: NetRules::of(net),
+            subnet: subnet(table, id),
+            flows: totals.flows,
+            flows_opened: totals.flows_opened,
+            flows_closed: CloseReason::ALL.into_iter().map(closed).collect(),
+            accepted_requests: credentials.zip(totals.accepted.iter().copied()).collect(),
+            kernel_dropped_datagrams: router.kernel_dropped(id),
+            nodes: mappings_of(table, id).map(|mapping| NodeState::of(router, mapping)).collect(),
+        }
+    }
+}
+
+fn subnet(table: &Table, id: NetId) -> Option<IpNet> {
+    let NetKind::UdpRange { .. } = table.net(id).kind else { return None };
+    let mut servers = mappings_of(table, id).map(|mapping| table.mapping(mapping).server.ip());
+    let IpAddr::V4(first) = servers.next()? else { return None };
+    let subnet = IpNet::new(first.into(), 24).ok()?.trunc();
+    servers.all(|server| subnet.contains(&server)).then_some(subnet)
+}
+
+/// A server node and what happened there.
+#[derive(Serialize)]
+struct NodeState {
+    #[serde(flatten)]
+    element: Element,
+    request: DirectionState,
+    response: DirectionState,
+    /// Since the last response; null: never.
+    last_response_age_seconds: Option<f64>,
+    response_time_mean_seconds: Option<f64>,
+}
+
+impl NodeState {
+    fn of(router: &Router, mapping: MappingId) -> Self {
+        let totals = NodeTotals::of_node(router.counters(), mapping);
+        let age = |last| router.started().elapsed().saturating_sub(last).as_secs_f64();
+        Self {
+            element: Element::of(router.config().table.mapping(mapping)),
+            request: DirectionState::of(&totals, Direction::Request),
+            response: DirectionState::of(&totals, Direction::Response),
+            last_response_age_seconds: totals.last_response.map(age),
+            response_time_mean_seconds: totals.response_times.mean().map(|d| d.as_secs_f64()),
+        }
+    }
+}
+
+#[derive(Serialize)]
+struct DirectionState {
+    received_datagrams: u64,
+    forwarded_datagrams: u64,
+    forwarded_bytes: u64,
+    /// By reason; those at 0 are left out.
+    dropped_datagrams: BTreeMap<&'static str, u64>,
+}
+
+impl DirectionState {
+    fn of(node: &NodeTotals, direction: Direction) -> Self {
+        let totals: &DirectionTotals = node.direction(direction);
+        let reasons = direction.drop_reasons().iter();
+        let dropped = reasons.map(|&reason| (reason.label(), totals.dropped(reason)));
+        Self {
+            received_datagrams: totals.received,
+            forwarded_datagrams: totals.forwarded,
+            forwarded_bytes: totals.forwarded_bytes,
+            dropped_datagrams: dropped.filter(|&(_, n)| n > 0).collect(),
+        }
+    }
+}
+
+/// A flow.
+#[derive(Serialize)]
+struct Flow<'a> {
+    net: &'a str,
+    #[serde(flatten)]
+    element: Element,
+    client: SocketAddr,
+    public_address: IpAddr,
+    /// Null without a password.
+    credential: Option<&'a str>,
+    upstream_port: u16,
+    age_seconds: f64,
+    idle_seconds: f64,
+}
+
+impl<'a> Flow<'a> {
+    fn of(table: &'a Table, flow: &FlowRecord) -> Self {
+        let mapping = table.mapping(flow.mapping);
+        let net = table.net(mapping.net);
+        let credential = flow.credential.and_then(|index| net.credentials.get(index));
+        Self {
+            net: &net.name,
+            element: Element::of(mapping),
+            client: flow.client,
+            public_address: flow.public_address,
+            credential: credential.map(|credential| credential.name.as_str()),
+            upstream_port: flow.upstream_port,
+            age_seconds: flow.age.as_secs_f64(),
+            idle_seconds: flow.idle.as_secs_f64(),
+        }
+    }
+}
+
+/// The configuration, passwords left out.
+#[derive(Serialize)]
+struct ConfigInForce<'a> {
+    listen: &'a [IpAddr],
+    header: String,
+    nets: Vec<NetConfig<'a>>,
+    max_flows: u32,
+    wrong_password_burst: u16,
+    wrong_password_interval_seconds: f64,
+    /// Null: one a core.
+    workers: Option<usize>,
+    receive_buffer_bytes: usize,
+    drain_seconds: f64,
+    /// Null when switched off.
+    admin_listen: Option<SocketAddr>,
+}
+
+#[derive(Serialize)]
+struct NetConfig<'a> {
+    #[serde(flatten)]
+    rules: NetRules<'a>,
+    nodes: Vec<Element>,
+}
+
+impl<'a> ConfigInForce<'a> {
+    fn of(config: &'a Config) -> Self {
+        let Config { listen, table, limits, runtime, admin } = config;
+        let nets = net_ids(table).map(|id| NetConfig {
+            rules: NetRules::of(table.net(id)),
+            nodes: mappings_of(table, id).map(|m| Element::of(table.mapping(m))).collect(),
+        });
+        Self {
+            listen,
+            header: table.header.to_string(),
+            nets: nets.collect(),
+            max_flows: limits.max_flows,
+            wrong_password_burst: limits.wrong_password_burst,
+            wrong_password_interval_seconds: limits.wrong_password_interval.as_secs_f64(),
+            workers: runtime.workers.map(usize::from),
+            receive_buffer_bytes: runtime.receive_buffer,
+            drain_seconds: runtime.drain.as_secs_f64(),
+            admin_listen: admin.as_ref().map(|admin| admin.listen),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::Duration;
+
+    use serde_json::json;
+
+    use super::*;
+    use crate::metrics::fixture::{NODE_33, config};
+
+    #[test]
+    fn a_flow_names_its_net_node_and_credential() {
+        let table = config().table;
+        let record = FlowRecord {
+            client: "198.51.100.9:50000".parse().unwrap(),
+            public_address: "203.0.113.1".parse().unwrap(),
+            mapping: NODE_33,
+            credential: Some(1),
+            upstream_port: 40999,
+            age: Duration::from_millis(61_500),
+            idle: Duration::from_millis(250),
+        };
+        assert_eq!(
+            serde_json::to_value(Flow::of(&table, &record)).unwrap(),
+            json!({
+                "net": "section-1", "node": 33, "public_port": 40033,
+                "server": "172.17.17.33:34379", "client": "198.51.100.9:50000",
+                "public_address": "203.0.113.1", "credential": "team-b", "upstream_port": 40999,
+                "age_seconds": 61.5, "idle_seconds": 0.25,
+            })
+        );
+        let without = FlowRecord { credential: None, ..record };
+        assert_eq!(Flow::of(&table, &without).credential, None);
+    }
+}

@@ -1,0 +1,149 @@
+//! The admin server: metrics, health, and a read-only API, for people and machines that watch.
+//!
+//! It changes nothing. One request a connection, a bound on connections, time and buffers, and
+//! answers made piece by piece as they are read: whatever its clients do, the data path goes on.
+
+mod api;
+#[cfg(test)]
+mod tests;
+
+use std::convert::Infallible;
+use std::future::Future;
+use std::io;
+use std::sync::Arc;
+use std::time::Duration;
+
+use axum::body::Body;
+use axum::extract::State;
+use axum::http::StatusCode;
+use axum::http::header::CONTENT_TYPE;
+use axum::response::{Html, IntoResponse, Response};
+use axum::routing::get;
+use futures_util::stream;
+use hyper::server::conn::http1;
+use hyper_util::rt::{TokioIo, TokioTimer};
+use hyper_util::service::TowerToHyperService;
+use tokio::net::{TcpListener, TcpStream};
+use tokio::sync::{Mutex, Semaphore};
+use tokio::time::{sleep, timeout};
+use tracing::warn;
+
+use crate::metrics::{self, Metrics};
+use crate::net::Router;
+
+/// Connections served at once; more wait in the listener's queue.
+const CONNECTIONS: u32 = 64;
+/// From accepting a connection to having its request.
+const HEADER_TIME: Duration = Duration::from_secs(2);
+/// From accepting a connection to the last octet of the answer.
+const REQUEST_TIME: Duration = Duration::from_secs(10);
+/// Octets that a request may have, and about the octets of answer that wait for a slow reader.
+const BUFFER: usize = 16 * 1024;
+/// How long a stopping server lets open requests end.
+const GRACE: Duration = Duration::from_secs(1);
+/// How long not to accept after the system refused: out of file descriptors, most likely.
+const ACCEPT_PAUSE: Duration = Duration::from_secs(1);
+
+/// What there is, and what it is for.
+const ROUTES: [(&str, &str); 6] = [
+    ("/metrics", "for Prometheus"),
+    ("/-/healthy", "200 as long as the process runs"),
+    ("/-/ready", "200 while it relays, 503 before and after"),
+    ("/api/v1/nets", "nets and nodes with their counters"),
+    ("/api/v1/flows?limit=1000", "open flows"),
+    ("/api/v1/config", "the configuration in force, without passwords"),
+];
+
+/// Answers requests until `shutdown` is done; then lets the open ones end, for a second at most.
+pub async fn serve(listener: TcpListener, router: Arc<Router>, shutdown: impl Future<Output = ()>) {
+    let routes = routes(router);
+    let slots = Arc::new(Semaphore::new(CONNECTIONS as usize));
+    let accepting = async {
+        loop {
+            let slot = slots.clone().acquire_owned().await;
+            match listener.accept().await {
+                Ok((stream, _)) => {
+                    let routes = routes.clone();
+                    tokio::spawn(async move {
+                        // A client that is too slow or gone is its own affair.
+                        let _ = timeout(REQUEST_TIME, answer(stream, routes)).await;
+                        drop(slot);
+                    });
+                }
+                Err(error) => pause_after(&error).await,
+            }
+        }
+    };
+    tokio::select! {
+        () = accepting => {}
+        () = shutdown => {}
+    }
+    let _ = timeout(GRACE, slots.acquire_many(CONNECTIONS)).await;
+}
+
+/// The admin server's routes.
+pub fn routes(router: Arc<Router>) -> axum::Router {
+    let metrics = Metrics::new(router.clone());
+    axum::Router::new()
+        .route("/", get(index))
+        .route("/metrics", get(scrape))
+        .route("/-/healthy", get("healthy\n"))
+        .route("/-/ready", get(ready))
+        .route("/api/v1/nets", get(api::nets))
+        .route("/api/v1/flows", get(api::flows))
+        .route("/api/v1/config", get(api::config))
+        .fallback(not_found)
+        .with_state(Shared { router, metrics, flows_turn: Arc::default() })
+}
+
+/// What the handlers work from.
+#[derive(Clone)]
+struct Shared {
+    router: Arc<Router>,
+    metrics: Metrics,
+    /// Held by the one request for flows that is being answered: a list of flows is large, and
+    /// asking for it wakes the workers.
+    flows_turn: Arc<Mutex<()>>,
+}
+
+async fn answer(stream: TcpStream, routes: axum::Router) -> hyper::Result<()> {
+    http1::Builder::new()
+        .keep_alive(false)
+        .timer(TokioTimer::new())
+        .header_read_timeout(HEADER_TIME)
+        .max_buf_size(BUFFER)
+        .serve_connection(TokioIo::new(stream), TowerToHyperService::new(routes))
+        .await
+}
+
+async fn pause_after(error: &io::Error) {
+    warn!(%error, "the admin server cannot accept a connection; is the limit of open files reached?");
+    sleep(ACCEPT_PAUSE).await;
+}
+
+async fn scrape(State(shared): State<Shared>) -> impl IntoResponse {
+    let chunks = shared.metrics.chunks().map(Ok::<_, Infallible>);
+    ([(CONTENT_TYPE, metrics::CONTENT_TYPE)], Body::from_stream(stream::iter(chunks)))
+}
+
+async fn ready(State(shared): State<Shared>) -> (StatusCode, &'static str) {
+    if shared.router.is_ready() {
+        (StatusCode::OK, "ready\n")
+    } else {
+        (StatusCode::SERVICE_UNAVAILABLE, "not ready\n")
+    }
+}
+
+async fn index() -> Html<String> {
+    let link = |(path, what)| format!("<li><a href=\"{path}\">{path}</a>: {what}\n");
+    let links: String = ROUTES.into_iter().map(link).collect();
+    Html(format!(
+        "<!doctype html>\n<html lang=\"en\"><title>pnet-nat</title>\n<h1>pnet-nat</h1>\n<ul>\n{links}</ul>\n"
+    ))
+}
+
+async fn not_found() -> Response {
+    let line = |(path, what)| format!("{path}  {what}\n");
+    let routes: String = ROUTES.into_iter().map(line).collect();
+    (StatusCode::NOT_FOUND, format!("Nothing here. There is:\n{routes}")).into_response()
+}

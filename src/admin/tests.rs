@@ -1,0 +1,301 @@
+//! The admin server over a real socket, as its clients see it.
+
+use std::io::{Read, Write};
+use std::net::{SocketAddr, TcpStream};
+use std::thread::{self, JoinHandle};
+use std::time::Instant;
+
+use serde_json::{Value, json};
+use tokio::sync::oneshot;
+
+use super::*;
+use crate::metrics::fixture::{self, NODE_1, PASSWORDS, SECTION, config};
+use crate::relay::{Direction, DropReason};
+
+/// An admin server on a free port, in a thread of its own; ends when dropped.
+struct Server {
+    address: SocketAddr,
+    stop: Option<oneshot::Sender<()>>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Server {
+    fn start(router: Arc<Router>) -> Self {
+        let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+        listener.set_nonblocking(true).unwrap();
+        let address = listener.local_addr().unwrap();
+        let (stop, stopped) = oneshot::channel();
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+        let thread = thread::spawn(move || {
+            runtime.block_on(async {
+                let listener = TcpListener::from_std(listener).unwrap();
+                serve(listener, router, async { _ = stopped.await }).await;
+            });
+        });
+        Self { address, stop: Some(stop), thread: Some(thread) }
+    }
+
+    fn get(&self, path: &str) -> Answer {
+        self.ask("GET", path)
+    }
+
+    fn ask(&self, method: &str, path: &str) -> Answer {
+        let agent: ureq::Agent =
+            ureq::Agent::config_builder().http_status_as_error(false).proxy(None).build().into();
+        let url = format!("http://{}{path}", self.address);
+        let request = ureq::http::Request::builder().method(method).uri(url).body(()).unwrap();
+        let mut answer = agent.run(request).unwrap();
+        Answer {
+            status: answer.status().as_u16(),
+            content_type: answer
+                .headers()
+                .get("content-type")
+                .map(|value| value.to_str().unwrap().to_owned())
+                .unwrap_or_default(),
+            text: answer.body_mut().read_to_string().unwrap(),
+        }
+    }
+
+    fn connect(&self) -> TcpStream {
+        TcpStream::connect(self.address).unwrap()
+    }
+}
+
+impl Drop for Server {
+    fn drop(&mut self) {
+        drop(self.stop.take());
+        self.thread.take().unwrap().join().unwrap();
+    }
+}
+
+struct Answer {
+    status: u16,
+    content_type: String,
+    text: String,
+}
+
+impl Answer {
+    fn json(&self) -> Value {
+        assert_eq!((self.status, self.content_type.as_str()), (200, "application/json"));
+        serde_json::from_str(&self.text).unwrap()
+    }
+}
+
+#[test]
+fn routes_answer_and_others_name_them() {
+    let server = Server::start(Router::idle(config(), 1));
+    let healthy = server.get("/-/healthy");
+    assert_eq!((healthy.status, healthy.text.as_str()), (200, "healthy\n"));
+    let ready = server.get("/-/ready");
+    assert_eq!((ready.status, ready.text.as_str()), (503, "not ready\n"));
+    let lost = server.get("/api/v2/nets");
+    assert_eq!(lost.status, 404);
+    let index = server.get("/");
+    assert_eq!(index.status, 200);
+    for (path, _) in ROUTES {
+        assert!(lost.text.contains(path) && index.text.contains(path), "{path}");
+        assert_ne!(server.get(path).status, 404, "{path}");
+        assert_eq!(server.ask("DELETE", path).status, 405, "{path}");
+    }
+    for query in ["limit=100001", "limit=-1", "limit=many"] {
+        assert_eq!(server.get(&format!("/api/v1/flows?{query}")).status, 400, "{query}");
+    }
+}
+
+#[test]
+fn metrics_have_their_type_and_arrive_whole() {
+    let server = Server::start(Router::idle(config(), 1));
+    let scrape = server.get("/metrics");
+    assert_eq!(scrape.content_type, "text/plain; version=0.0.4; charset=utf-8");
+    assert!(scrape.text.starts_with("# HELP pnet_nat_received_datagrams_total "));
+    assert!(scrape.text.contains("\nprocess_start_time_seconds "));
+}
+
+#[test]
+fn scrapers_that_do_not_read_hold_up_neither_memory_nor_others() {
+    let mut large = config();
+    large.table = fixture::large_table();
+    let server = Server::start(Router::idle(large, 2));
+    let before = resident_bytes();
+    let stuck: Vec<_> = (0..16)
+        .map(|_| {
+            let mut stream = server.connect();
+            stream.write_all(b"GET /metrics HTTP/1.1\r\nhost: a\r\n\r\n").unwrap();
+            stream.peek(&mut [0]).unwrap();
+            stream
+        })
+        .collect();
+    assert_eq!(server.get("/-/healthy").status, 200);
+    let grown = resident_bytes().saturating_sub(before);
+    assert!(grown < 64 << 20, "{grown} octets for 16 scrapers; each whole answer has 31 MB");
+    drop(stuck);
+}
+
+fn resident_bytes() -> u64 {
+    let pages = std::fs::read_to_string("/proc/self/statm").unwrap();
+    pages.split(' ').nth(1).unwrap().parse::<u64>().unwrap() * 4096
+}
+
+#[test]
+fn nets_show_what_was_counted() {
+    let router = Router::idle(config(), 2);
+    for worker in router.counters() {
+        let node = worker.node(NODE_1);
+        node.direction(Direction::Request).received.add(5);
+        node.direction(Direction::Request).forwarded.add(4);
+        node.direction(Direction::Request).forwarded_bytes.add(80);
+        node.direction(Direction::Request).dropped(DropReason::Throttled).add(1);
+        node.response_times.observe(Duration::from_millis(4));
+        node.last_response.set(1);
+        worker.net(SECTION).flows.add(3);
+        worker.net(SECTION).flows_opened.add(3);
+        worker.net(SECTION).accepted[0].add(4);
+    }
+    let nets = Server::start(router).get("/api/v1/nets").json();
+    let mut section = nets["nets"][0].clone();
+    let mut nodes = section["nodes"].take();
+    let age = nodes[0]["last_response_age_seconds"].take().as_f64().unwrap();
+    assert!(age > 0.0 && age < 60.0, "{age}");
+    assert_eq!(
+        section,
+        json!({
+            "name": "section-1", "kind": "udp_range_net", "start_port": 40000,
+            "subnet": "172.17.17.0/24", "allow": ["198.51.100.0/24"],
+            "credentials": [
+                { "name": "service", "has_device_password": false },
+                { "name": "team-b", "has_device_password": true },
+            ],
+            "allow_without_password": false, "require_response_password": false,
+            "idle_timeout_seconds": 300.0, "max_flows": 4096,
+            "flows": 6, "flows_opened": 6, "flows_closed": {
+                "idle": 0, "mapping_removed": 0, "source_withdrawn": 0, "password_withdrawn": 0,
+                "shutdown": 0,
+            },
+            "accepted_requests": { "service": 8, "team-b": 0 },
+            "kernel_dropped_datagrams": 0, "nodes": null,
+        })
+    );
+    let nothing = json!({
+        "received_datagrams": 0, "forwarded_datagrams": 0, "forwarded_bytes": 0,
+        "dropped_datagrams": {},
+    });
+    assert_eq!(
+        nodes,
+        json!([
+            {
+                "node": 1, "public_port": 40001, "server": "172.17.17.1:34379",
+                "request": {
+                    "received_datagrams": 10, "forwarded_datagrams": 8, "forwarded_bytes": 160,
+                    "dropped_datagrams": { "throttled": 2 },
+                },
+                "response": nothing,
+                "last_response_age_seconds": null, "response_time_mean_seconds": 0.004,
+            },
+            {
+                "node": 33, "public_port": 40033, "server": "172.17.17.33:34379",
+                "request": nothing, "response": nothing,
+                "last_response_age_seconds": null, "response_time_mean_seconds": null,
+            },
+        ])
+    );
+    let press = &nets["nets"][1];
+    assert_eq!((&press["kind"], &press["subnet"]), (&json!("server"), &json!(null)));
+    assert_eq!(press["nodes"][0]["node"], 7);
+}
+
+#[test]
+fn flows_and_configuration_have_their_shape() {
+    let server = Server::start(Router::idle(config(), 1));
+    assert_eq!(server.get("/api/v1/flows?limit=5").json(), json!({ "flows": [] }));
+    let config = server.get("/api/v1/config").json();
+    assert_eq!(config["header"], "02000000");
+    assert_eq!(config["nets"][0]["nodes"][1]["public_port"], 40033);
+    assert_eq!(config["nets"][1]["allow_without_password"], true);
+    assert_eq!(config["wrong_password_interval_seconds"], 60.0);
+    assert_eq!(config["workers"], Value::Null);
+    assert_eq!(config["admin_listen"], "127.0.0.1:9378");
+}
+
+#[test]
+fn no_answer_holds_a_password_in_any_writing() {
+    let server = Server::start(Router::idle(config(), 1));
+    for (path, _) in ROUTES.into_iter().chain([("/", ""), ("/none", "")]) {
+        let text = server.get(path).text.to_lowercase();
+        for written in PASSWORDS.iter().flat_map(writings) {
+            assert!(!text.contains(&written), "{path} shows {written}");
+        }
+    }
+}
+
+/// A password as text, hexadecimal, base64 and lists of octets, in lower case.
+fn writings(password: &[u8; 8]) -> [String; 6] {
+    let join = |separator: &str, octet: fn(&u8) -> String| {
+        password.iter().map(octet).collect::<Vec<_>>().join(separator)
+    };
+    [
+        String::from_utf8_lossy(password).to_lowercase(),
+        join("", |octet| format!("{octet:02x}")),
+        join(" ", |octet| format!("{octet:02x}")),
+        join(",", u8::to_string),
+        join(", ", u8::to_string),
+        base64(password).to_lowercase(),
+    ]
+}
+
+/// Base64 without the padding, whose last digit an encoder may write otherwise.
+fn base64(octets: &[u8; 8]) -> String {
+    const DIGITS: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
+    let bits = u64::from_be_bytes(*octets);
+    (0..10).map(|digit| char::from(DIGITS[(bits >> (58 - 6 * digit)) as usize % 64])).collect()
+}
+
+#[test]
+fn base64_is_base64() {
+    assert_eq!(base64(b"PNETPASS"), "UE5FVFBBU1");
+}
+
+#[test]
+fn a_client_that_says_nothing_is_cut_off() {
+    let server = Server::start(Router::idle(config(), 1));
+    let began = Instant::now();
+    let mut silent = server.connect();
+    silent.write_all(b"GET /-/healthy HTTP/1.1\r\nhost:").unwrap();
+    let mut answer = Vec::new();
+    let _ = silent.read_to_end(&mut answer);
+    assert!(!answer.starts_with(b"HTTP/1.1 200"));
+    assert!(began.elapsed() >= HEADER_TIME && began.elapsed() < REQUEST_TIME);
+}
+
+#[test]
+fn a_request_without_end_is_refused() {
+    let server = Server::start(Router::idle(config(), 1));
+    let began = Instant::now();
+    let mut endless = server.connect();
+    let line = [b"GET /".as_slice(), &[b'a'; 4 * BUFFER]].concat();
+    let _ = endless.write_all(&line);
+    let mut answer = String::new();
+    let _ = endless.read_to_string(&mut answer);
+    assert!(began.elapsed() < HEADER_TIME, "it was refused for its length, not for its time");
+    let refused = ["", "HTTP/1.1 414 ", "HTTP/1.1 431 "];
+    assert!(refused.contains(&&answer[..answer.len().min(13)]), "{answer}");
+}
+
+#[test]
+fn silent_connections_beyond_the_bound_wait_and_then_all_is_well() {
+    let server = Server::start(Router::idle(config(), 1));
+    let silent: Vec<_> = (0..CONNECTIONS).map(|_| server.connect()).collect();
+    let began = Instant::now();
+    assert_eq!(server.get("/-/healthy").status, 200);
+    assert!(began.elapsed() >= HEADER_TIME / 2, "there was no bound");
+    drop(silent);
+}
+
+#[test]
+fn stopping_does_not_wait_for_a_client_that_does_not_read() {
+    let server = Server::start(Router::idle(config(), 1));
+    let _silent = server.connect();
+    assert_eq!(server.get("/-/healthy").status, 200);
+    let began = Instant::now();
+    drop(server);
+    assert!(began.elapsed() < GRACE + Duration::from_millis(900), "{:?}", began.elapsed());
+}

@@ -1,0 +1,231 @@
+//! The log: events to stderr, and the report that stands for noise.
+//!
+//! A datagram never makes a line of its own. What strangers send is counted, and [`Noise`] says
+//! once a window how much it was; a stderr that nobody reads loses lines and holds up nothing.
+
+use std::io::{self, IsTerminal};
+use std::sync::Arc;
+use std::time::Duration;
+
+use tokio::time::{self, MissedTickBehavior};
+use tracing::{Level, warn};
+use tracing_appender::non_blocking::{NonBlockingBuilder, WorkerGuard};
+
+use crate::metrics::totals::{NodeTotals, net_ids};
+use crate::net::Router;
+use crate::relay::{Direction, DropReason, NetId, SourceSketch};
+
+/// Lines that wait for a slow stderr; more are lost.
+const WAITING_LINES: usize = 16 * 1024;
+
+/// How events are written.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
+pub enum LogFormat {
+    /// Text on a terminal, else JSON.
+    #[default]
+    Auto,
+    /// Lines for people.
+    Text,
+    /// One JSON object a line.
+    Json,
+}
+
+/// Keeps the log going; writes out what waits when dropped.
+#[derive(Debug)]
+#[must_use = "the log ends when the guard is dropped"]
+pub struct Guard(#[expect(dead_code, reason = "held for its drop")] WorkerGuard);
+
+/// Starts logging to stderr, for the whole process and once only. Times are UTC, as RFC 3339.
+pub fn init(format: LogFormat, level: Level) -> Guard {
+    let terminal = io::stderr().is_terminal();
+    let (writer, guard) = NonBlockingBuilder::default()
+        .lossy(true)
+        .buffered_lines_limit(WAITING_LINES)
+        .finish(io::stderr());
+    let events = tracing_subscriber::fmt().with_max_level(level).with_writer(writer);
+    let json = match format {
+        LogFormat::Auto => !terminal,
+        LogFormat::Text => false,
+        LogFormat::Json => true,
+    };
+    if json {
+        events.json().flatten_event(true).with_current_span(false).with_span_list(false).init();
+    } else {
+        events.with_target(false).with_ansi(terminal && !no_color()).init();
+    }
+    Guard(guard)
+}
+
+/// Whether the user wants no colours (no-color.org).
+fn no_color() -> bool {
+    std::env::var_os("NO_COLOR").is_some_and(|value| !value.is_empty())
+}
+
+/// Reports dropped datagrams: a line for each net and reason in each window that had some.
+#[derive(Debug)]
+pub struct Noise {
+    router: Arc<Router>,
+    /// Dropped up to the end of the last window, by net and reason.
+    reported: Vec<[u64; DropReason::COUNT]>,
+}
+
+impl Noise {
+    /// How long a window is.
+    pub const WINDOW: Duration = Duration::from_secs(10);
+
+    /// Starts the first window.
+    pub fn new(router: Arc<Router>) -> Self {
+        let nets = net_ids(&router.config().table);
+        let reported = nets.map(|net| dropped(&router, net)).collect();
+        Self { router, reported }
+    }
+
+    /// Reports at the end of each window, for ever.
+    pub async fn run(&mut self) -> ! {
+        let mut window = time::interval(Self::WINDOW);
+        window.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        window.tick().await;
+        loop {
+            window.tick().await;
+            self.report();
+        }
+    }
+
+    /// Ends the window: writes its lines.
+    pub fn report(&mut self) {
+        for net in net_ids(&self.router.config().table) {
+            let dropped = dropped(&self.router, net);
+            let reported = std::mem::replace(&mut self.reported[usize::from(net.0)], dropped);
+            for reason in reasons() {
+                let count = dropped[reason as usize] - reported[reason as usize];
+                if count > 0 {
+                    self.line(net, reason, count);
+                }
+            }
+        }
+    }
+
+    fn line(&self, net: NetId, reason: DropReason, count: u64) {
+        let workers = self.router.counters().iter();
+        let sketches = workers.map(|worker| worker.net(net).sources(reason));
+        let estimate = SourceSketch::take_estimate(sketches);
+        // The estimate may be off, but not beyond what is certain.
+        let sources = u64::from(estimate).clamp(1, count);
+        let from = match sources {
+            1 => "1 source".to_owned(),
+            _ if estimate == SourceSketch::MOST => format!("{sources} sources or more"),
+            _ => format!("{sources} sources"),
+        };
+        let net = &self.router.config().table.net(net).name;
+        let (what, seconds) = (reason.counted(count), Self::WINDOW.as_secs());
+        warn!(
+            %net, reason = %reason.label(), count, sources,
+            "{what} from {from} in {seconds} s"
+        );
+    }
+}
+
+/// Every reason once.
+fn reasons() -> impl Iterator<Item = DropReason> {
+    let request = DropReason::REQUEST.into_iter();
+    request.chain(DropReason::RESPONSE.into_iter().filter(|r| !DropReason::REQUEST.contains(r)))
+}
+
+/// Datagrams dropped so far in a net, by reason, both directions together.
+fn dropped(router: &Router, net: NetId) -> [u64; DropReason::COUNT] {
+    let totals = NodeTotals::of_net(router.counters(), &router.config().table, net);
+    let mut dropped = [0; DropReason::COUNT];
+    for direction in Direction::ALL {
+        for &reason in direction.drop_reasons() {
+            dropped[reason as usize] += totals.direction(direction).dropped(reason);
+        }
+    }
+    dropped
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Mutex;
+
+    use serde_json::{Value, json};
+
+    use super::*;
+    use crate::metrics::fixture::{NODE_1, NODE_33, SECTION, config};
+
+    /// The lines that one report writes, without their times.
+    fn report(noise: &mut Noise) -> Vec<Value> {
+        let written = Arc::new(Mutex::new(Vec::new()));
+        let writer = written.clone();
+        let subscriber = tracing_subscriber::fmt()
+            .json()
+            .flatten_event(true)
+            .with_target(false)
+            .without_time()
+            .with_writer(move || Lines(writer.clone()))
+            .finish();
+        tracing::subscriber::with_default(subscriber, || noise.report());
+        let written = String::from_utf8(written.lock().unwrap().clone()).unwrap();
+        written.lines().map(|line| serde_json::from_str(line).unwrap()).collect()
+    }
+
+    struct Lines(Arc<Mutex<Vec<u8>>>);
+
+    impl io::Write for Lines {
+        fn write(&mut self, octets: &[u8]) -> io::Result<usize> {
+            self.0.lock().unwrap().write(octets)
+        }
+
+        fn flush(&mut self) -> io::Result<()> {
+            Ok(())
+        }
+    }
+
+    fn drop_some(router: &Router, reason: DropReason, sources: impl Iterator<Item = u64>) {
+        for (source, worker) in sources.zip(router.counters().iter().cycle()) {
+            let node = worker.node(if source % 2 == 0 { NODE_1 } else { NODE_33 });
+            node.direction(Direction::Request).dropped(reason).add(1);
+            worker.net(SECTION).sources(reason).note(source);
+        }
+    }
+
+    #[test]
+    fn a_window_says_how_many_of_what_from_how_many() {
+        let router = Router::idle(config(), 2);
+        drop_some(&router, DropReason::BadHeader, 0..100);
+        let mut noise = Noise::new(router.clone());
+        assert_eq!(report(&mut noise), Vec::<Value>::new(), "what was before is not reported");
+
+        drop_some(&router, DropReason::PasswordWrong, (0..37).map(|n| n % 5));
+        drop_some(&router, DropReason::TooShort, std::iter::once(1000));
+        assert_eq!(
+            report(&mut noise),
+            [
+                json!({
+                    "level": "WARN", "net": "section-1", "reason": "too_short", "count": 1,
+                    "sources": 1, "message": "1 datagram too short from 1 source in 10 s",
+                }),
+                json!({
+                    "level": "WARN", "net": "section-1", "reason": "password_wrong", "count": 37,
+                    "sources": 5, "message": "37 wrong passwords from 5 sources in 10 s",
+                }),
+            ]
+        );
+        assert_eq!(report(&mut noise), Vec::<Value>::new(), "a quiet window says nothing");
+    }
+
+    #[test]
+    fn a_flood_says_that_there_may_be_more() {
+        let router = Router::idle(config(), 2);
+        let mut noise = Noise::new(router.clone());
+        drop_some(&router, DropReason::BadHeader, 0..20_000);
+        let lines = report(&mut noise);
+        assert_eq!(lines.len(), 1);
+        let expected = "20000 wrong headers from 7098 sources or more in 10 s";
+        assert_eq!(lines[0]["message"], expected);
+    }
+
+    #[test]
+    fn every_reason_can_be_reported() {
+        assert_eq!(reasons().count(), DropReason::COUNT);
+    }
+}

@@ -1,0 +1,264 @@
+//! Every metric family: its name, its help text, and where its samples come from. Nothing else in
+//! the program names a metric.
+//!
+//! Labels are names of the configuration, node addresses and labels of enums: never a client's
+//! address, never a password.
+
+use prometheus::proto::{Bucket, Counter, Gauge, Histogram, LabelPair, Metric, MetricType};
+
+use super::totals::{DirectionTotals, NetTotals, NodeTotals};
+use crate::relay::{CloseReason, Direction, Net, RESPONSE_BUCKETS};
+
+/// A family of which each net has samples.
+pub(super) struct NetFamily {
+    pub(super) name: &'static str,
+    pub(super) help: &'static str,
+    pub(super) kind: MetricType,
+    pub(super) samples: fn(&NetSums<'_>) -> Vec<Metric>,
+}
+
+/// What the families of one net are made of.
+pub(super) struct NetSums<'a> {
+    /// Value of the label `net`.
+    pub(super) label: &'a str,
+    /// Value of the label `node`, and the node's sums.
+    pub(super) nodes: Vec<(String, NodeTotals)>,
+    /// The net itself; none for strays, which belong to no net.
+    pub(super) net: Option<(&'a Net, NetTotals)>,
+    pub(super) kernel_dropped: u64,
+    /// The router's start as Unix time, in seconds.
+    pub(super) started_at: f64,
+}
+
+pub(super) const NET_FAMILIES: &[NetFamily] = &[
+    NetFamily {
+        name: "pnet_nat_received_datagrams_total",
+        help: "Datagrams taken from the kernel.",
+        kind: MetricType::COUNTER,
+        samples: |sums| directions(sums, |direction| direction.received),
+    },
+    NetFamily {
+        name: "pnet_nat_forwarded_datagrams_total",
+        help: "Datagrams passed on.",
+        kind: MetricType::COUNTER,
+        samples: |sums| directions(sums, |direction| direction.forwarded),
+    },
+    NetFamily {
+        name: "pnet_nat_forwarded_bytes_total",
+        help: "UDP payload of the datagrams passed on.",
+        kind: MetricType::COUNTER,
+        samples: |sums| directions(sums, |direction| direction.forwarded_bytes),
+    },
+    NetFamily {
+        name: "pnet_nat_dropped_datagrams_total",
+        help: "Datagrams not passed on, by reason. Received = forwarded + dropped.",
+        kind: MetricType::COUNTER,
+        samples: dropped,
+    },
+    NetFamily {
+        name: "pnet_nat_accepted_requests_total",
+        help: "Requests accepted, by the credential whose password they carried.",
+        kind: MetricType::COUNTER,
+        samples: accepted,
+    },
+    NetFamily {
+        name: "pnet_nat_flows",
+        help: "Flows open now: clients that talk to a node.",
+        kind: MetricType::GAUGE,
+        samples: |sums| of_net(sums, |labels, _, totals| vec![gauge(labels, totals.flows as f64)]),
+    },
+    NetFamily {
+        name: "pnet_nat_flows_opened_total",
+        help: "Flows opened.",
+        kind: MetricType::COUNTER,
+        samples: |sums| {
+            of_net(sums, |labels, _, totals| vec![counter(labels, totals.flows_opened)])
+        },
+    },
+    NetFamily {
+        name: "pnet_nat_flows_closed_total",
+        help: "Flows ended, by reason.",
+        kind: MetricType::COUNTER,
+        samples: flows_closed,
+    },
+    NetFamily {
+        name: "pnet_nat_flow_limit",
+        help: "Flows that may be open at once.",
+        kind: MetricType::GAUGE,
+        samples: |sums| {
+            of_net(sums, |labels, net, _| vec![gauge(labels, f64::from(net.max_flows))])
+        },
+    },
+    NetFamily {
+        name: "pnet_nat_response_seconds",
+        help: "Time from a request passed on to its response passed on.",
+        kind: MetricType::HISTOGRAM,
+        samples: response_times,
+    },
+    NetFamily {
+        name: "pnet_nat_last_response_timestamp_seconds",
+        help: "Unix time of the node's last response; 0: none since the start.",
+        kind: MetricType::GAUGE,
+        samples: last_responses,
+    },
+    NetFamily {
+        name: "pnet_nat_kernel_dropped_datagrams_total",
+        help: "Datagrams that the kernel dropped because a public socket's buffer was full.",
+        kind: MetricType::COUNTER,
+        samples: |sums| of_net(sums, |labels, _, _| vec![counter(labels, sums.kernel_dropped)]),
+    },
+];
+
+/// A family with one sample for the whole router.
+pub(super) struct RouterFamily {
+    pub(super) name: &'static str,
+    pub(super) help: &'static str,
+    /// The sample, given the router's start as Unix time in seconds.
+    pub(super) sample: fn(started_at: f64) -> Metric,
+}
+
+/// Gauges all.
+pub(super) const ROUTER_FAMILIES: &[RouterFamily] = &[
+    // The configuration is read once, at the start, and there is no router without a sound one.
+    RouterFamily {
+        name: "pnet_nat_config_last_reload_successful",
+        help: "Whether the configuration was sound when it was last read: 1 or 0.",
+        sample: |_| gauge(&[], 1.0),
+    },
+    RouterFamily {
+        name: "pnet_nat_config_last_reload_success_timestamp_seconds",
+        help: "Unix time when a sound configuration was last read.",
+        sample: |started_at| gauge(&[], started_at),
+    },
+    RouterFamily {
+        name: "pnet_nat_build_info",
+        help: "Always 1; the labels tell what runs.",
+        sample: |_| gauge(&[("version", env!("CARGO_PKG_VERSION"))], 1.0),
+    },
+];
+
+fn directions(sums: &NetSums<'_>, value: fn(&DirectionTotals) -> u64) -> Vec<Metric> {
+    each_direction(sums, |labels, _, totals| vec![counter(labels, value(totals))])
+}
+
+/// Every reason of the direction, counted or not: a series that appears with its first drop would
+/// hide that drop from `increase()`.
+fn dropped(sums: &NetSums<'_>) -> Vec<Metric> {
+    each_direction(sums, |&[net, node, way], direction, totals| {
+        let reasons = direction.drop_reasons().iter();
+        reasons
+            .map(|&reason| {
+                let labels = [net, node, way, ("reason", reason.label())];
+                counter(&labels, totals.dropped(reason))
+            })
+            .collect()
+    })
+}
+
+fn accepted(sums: &NetSums<'_>) -> Vec<Metric> {
+    of_net(sums, |&[label], net, totals| {
+        let credentials = net.credentials.iter().zip(&totals.accepted);
+        credentials
+            .map(|(credential, &n)| counter(&[label, ("credential", &credential.name)], n))
+            .collect()
+    })
+}
+
+fn flows_closed(sums: &NetSums<'_>) -> Vec<Metric> {
+    of_net(sums, |&[label], _, totals| {
+        let sample = |reason: CloseReason| {
+            counter(&[label, ("reason", reason.label())], totals.flows_closed(reason))
+        };
+        CloseReason::ALL.map(sample).into()
+    })
+}
+
+fn response_times(sums: &NetSums<'_>) -> Vec<Metric> {
+    each_node(sums, |labels, totals| {
+        let times = &totals.response_times;
+        let mut cumulative = 0;
+        let bucket = |(&bound, n): (&f64, &u64)| {
+            cumulative += n;
+            let mut bucket = Bucket::default();
+            bucket.set_upper_bound(bound);
+            bucket.set_cumulative_count(cumulative);
+            bucket
+        };
+        let mut histogram = Histogram::default();
+        histogram.set_bucket(RESPONSE_BUCKETS.iter().zip(&times.buckets).map(bucket).collect());
+        histogram.set_sample_count(times.count());
+        histogram.set_sample_sum(times.sum.as_secs_f64());
+        let mut metric = labelled(labels);
+        metric.set_histogram(histogram);
+        metric
+    })
+}
+
+fn last_responses(sums: &NetSums<'_>) -> Vec<Metric> {
+    each_node(sums, |labels, totals| {
+        let at = totals.last_response.map_or(0.0, |last| sums.started_at + last.as_secs_f64());
+        gauge(labels, at)
+    })
+}
+
+type Label<'a> = (&'a str, &'a str);
+
+/// What `samples` gives for each node and direction, strays included: there the law of the
+/// counters can be checked over all series.
+fn each_direction(
+    sums: &NetSums<'_>,
+    samples: impl Fn(&[Label<'_>; 3], Direction, &DirectionTotals) -> Vec<Metric>,
+) -> Vec<Metric> {
+    let mut all = Vec::new();
+    for (node, totals) in &sums.nodes {
+        for direction in Direction::ALL {
+            let labels = [("net", sums.label), ("node", node), ("direction", direction.label())];
+            all.extend(samples(&labels, direction, totals.direction(direction)));
+        }
+    }
+    all
+}
+
+/// One sample for each node of a net; none for strays.
+fn each_node(
+    sums: &NetSums<'_>,
+    sample: impl Fn(&[Label<'_>; 2], &NodeTotals) -> Metric,
+) -> Vec<Metric> {
+    let nodes = sums.nodes.iter().filter(|_| sums.net.is_some());
+    nodes.map(|(node, totals)| sample(&[("net", sums.label), ("node", node)], totals)).collect()
+}
+
+/// The samples of a net itself; none for strays.
+fn of_net(
+    sums: &NetSums<'_>,
+    samples: impl Fn(&[Label<'_>; 1], &Net, &NetTotals) -> Vec<Metric>,
+) -> Vec<Metric> {
+    let net = sums.net.as_ref();
+    net.map(|(net, totals)| samples(&[("net", sums.label)], net, totals)).unwrap_or_default()
+}
+
+fn counter(labels: &[Label<'_>], value: u64) -> Metric {
+    let mut counter = Counter::default();
+    counter.set_value(value as f64);
+    let mut metric = labelled(labels);
+    metric.set_counter(counter);
+    metric
+}
+
+fn gauge(labels: &[Label<'_>], value: f64) -> Metric {
+    let mut gauge = Gauge::default();
+    gauge.set_value(value);
+    let mut metric = labelled(labels);
+    metric.set_gauge(gauge);
+    metric
+}
+
+fn labelled(labels: &[Label<'_>]) -> Metric {
+    let pair = |&(name, value): &Label<'_>| {
+        let mut pair = LabelPair::default();
+        pair.set_name(name.to_owned());
+        pair.set_value(value.to_owned());
+        pair
+    };
+    Metric::from_label(labels.iter().map(pair).collect())
+}

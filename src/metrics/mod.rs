@@ -1,0 +1,129 @@
+//! What Prometheus scrapes: sums over the workers' counters, made into text when asked for.
+//!
+//! A large table makes hundreds of thousands of series. The text therefore comes as an iterator
+//! that makes one family of one net at a time, when the reader wants more: memory stays flat and
+//! a scraper that stops reading stops the work, not the router.
+
+mod families;
+#[cfg(test)]
+pub(crate) mod fixture;
+#[cfg(test)]
+mod tests;
+pub mod totals;
+
+use std::iter;
+use std::sync::Arc;
+use std::time::{SystemTime, UNIX_EPOCH};
+
+use prometheus::TextEncoder;
+use prometheus::core::Collector;
+use prometheus::process_collector::ProcessCollector;
+use prometheus::proto::{Metric, MetricFamily, MetricType};
+
+use self::families::{NET_FAMILIES, NetFamily, NetSums, ROUTER_FAMILIES, RouterFamily};
+use self::totals::{NetTotals, NodeTotals, mappings_of, net_ids};
+use crate::net::Router;
+use crate::relay::NetId;
+
+/// The format of [`Metrics::chunks`].
+pub const CONTENT_TYPE: &str = "text/plain; version=0.0.4; charset=utf-8";
+
+/// Labels of datagrams on upstream sockets that come from no server of the table.
+const STRAY_NET: &str = "none";
+const STRAY_NODE: &str = "0";
+
+/// The metrics of one router.
+#[derive(Clone, Debug)]
+pub struct Metrics {
+    router: Arc<Router>,
+    /// Unix time in seconds. Fixed, so that timestamps counted from it do not wobble.
+    started_at: f64,
+}
+
+impl Metrics {
+    /// The metrics of `router`.
+    pub fn new(router: Arc<Router>) -> Self {
+        let started_at = SystemTime::now() - router.started().elapsed();
+        let since_epoch = started_at.duration_since(UNIX_EPOCH).unwrap_or_default();
+        Self { router, started_at: since_epoch.as_secs_f64() }
+    }
+
+    /// All metrics in Prometheus' text format, piece by piece; each piece is summed up and encoded
+    /// when it is taken.
+    pub fn chunks(&self) -> impl Iterator<Item = String> + Send + use<> {
+        let (by_net, metrics) = (self.clone(), self.clone());
+        let router = ROUTER_FAMILIES.iter().map(move |family| metrics.router_family(family));
+        let process = iter::once_with(|| ProcessCollector::for_self().collect()).flatten();
+        NET_FAMILIES
+            .iter()
+            .flat_map(move |family| by_net.clone().net_family(family))
+            .chain(router.chain(process).filter_map(|family| encode(&family)))
+    }
+
+    /// One family, net by net, strays last.
+    fn net_family(self, family: &'static NetFamily) -> impl Iterator<Item = String> {
+        let nets = net_ids(&self.router.config().table).map(Some).chain([None]);
+        let mut headed = false;
+        nets.filter_map(move |net| {
+            let sums = net.map_or_else(|| self.stray_sums(), |net| self.net_sums(net));
+            let samples = (family.samples)(&sums);
+            let mut text = encode(&metric_family(family.name, family.help, family.kind, samples))?;
+            if headed {
+                text.drain(..header_len(&text));
+            }
+            headed = true;
+            Some(text)
+        })
+    }
+
+    fn net_sums(&self, id: NetId) -> NetSums<'_> {
+        let (table, workers) = (&self.router.config().table, self.router.counters());
+        let net = table.net(id);
+        let node = |mapping| {
+            let node_address = table.mapping(mapping).node_address.to_string();
+            (node_address, NodeTotals::of_node(workers, mapping))
+        };
+        NetSums {
+            label: &net.name,
+            nodes: mappings_of(table, id).map(node).collect(),
+            net: Some((net, NetTotals::of_net(workers, table, id))),
+            kernel_dropped: self.router.kernel_dropped(id),
+            started_at: self.started_at,
+        }
+    }
+
+    fn stray_sums(&self) -> NetSums<'_> {
+        let strays = NodeTotals::of_strays(self.router.counters());
+        NetSums {
+            label: STRAY_NET,
+            nodes: vec![(STRAY_NODE.to_owned(), strays)],
+            net: None,
+            kernel_dropped: 0,
+            started_at: self.started_at,
+        }
+    }
+
+    fn router_family(&self, family: &RouterFamily) -> MetricFamily {
+        let sample = (family.sample)(self.started_at);
+        metric_family(family.name, family.help, MetricType::GAUGE, vec![sample])
+    }
+}
+
+fn metric_family(name: &str, help: &str, kind: MetricType, samples: Vec<Metric>) -> MetricFamily {
+    let mut family = MetricFamily::default();
+    family.set_name(name.to_owned());
+    family.set_help(help.to_owned());
+    family.set_field_type(kind);
+    family.set_metric(samples);
+    family
+}
+
+/// The text of a family; none when it has no samples, which the encoder refuses.
+fn encode(family: &MetricFamily) -> Option<String> {
+    TextEncoder::new().encode_to_string(std::slice::from_ref(family)).ok()
+}
+
+/// Octets of the HELP and TYPE lines.
+fn header_len(text: &str) -> usize {
+    text.split_inclusive('\n').take_while(|line| line.starts_with('#')).map(str::len).sum()
+}
