@@ -10,5 +10,6 @@ pub mod config;
 pub mod log;
 pub mod metrics;
 pub mod net;
+pub mod peer;
 pub mod relay;
 pub mod wire;

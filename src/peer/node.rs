@@ -1,0 +1,212 @@
+//! A simulated P-NET server node on its Normal and Secure UDP ports.
+//!
+//! It keeps no IPNetTable and forwards nothing: what lies beyond it on a request's route it plays
+//! itself. A request is judged and answered by [`NodeSettings::answer`], without a socket; the rest
+//! moves octets. Invariant: silent on everything that is not a confirmed request to its own node
+//! address, with its password when it comes to the Secure port.
+
+use std::io;
+use std::net::{Ipv4Addr, SocketAddrV4};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
+use std::time::Duration;
+
+use arrayvec::ArrayVec;
+use tokio::net::UdpSocket;
+
+use crate::wire::{
+    Datagram, DatagramRepr, DlRoute, DlRouteError, Header, Indication, MAX_DATA, MAX_DATAGRAM,
+    NCNA, Password, RouteBuf,
+};
+
+/// Makes a response's data out of the node address and the request's data.
+pub type Reply = fn(node_address: u8, request: &[u8]) -> ArrayVec<u8, MAX_DATA>;
+
+/// The [`Reply`] that sends the request's data back.
+pub fn echo(_node_address: u8, request: &[u8]) -> ArrayVec<u8, MAX_DATA> {
+    request.iter().copied().take(MAX_DATA).collect()
+}
+
+/// What a simulated node is like.
+#[derive(Clone, Debug)]
+pub struct NodeSettings {
+    /// Its address; the last octet is its node address (R-12, PAS 7).
+    pub address: Ipv4Addr,
+    /// Where it takes requests without a password; 0: any free port.
+    pub normal_port: u16,
+    /// Where it takes requests with its password alone; 0: any free port.
+    pub secure_port: u16,
+    /// What every datagram begins with.
+    pub header: Header,
+    /// Opens the Secure port.
+    pub password: Password,
+    /// How long each port works on a request; others wait in its socket meanwhile.
+    pub delay: Duration,
+    /// What it answers.
+    pub reply: Reply,
+}
+
+/// What a node has seen so far. At rest, received = answered + refused.
+#[derive(Debug, Default)]
+pub struct NodeCounts {
+    received: AtomicU64,
+    answered: AtomicU64,
+    refused: AtomicU64,
+}
+
+impl NodeCounts {
+    /// Datagrams taken from both ports.
+    pub fn received(&self) -> u64 {
+        self.received.load(Relaxed)
+    }
+
+    /// Responses sent.
+    pub fn answered(&self) -> u64 {
+        self.answered.load(Relaxed)
+    }
+
+    /// Datagrams met with silence.
+    pub fn refused(&self) -> u64 {
+        self.refused.load(Relaxed)
+    }
+}
+
+/// A port that a node could not get.
+#[derive(Debug, thiserror::Error)]
+#[error(
+    "cannot listen on {address}: {reason}; give an address of this host and a port that is free"
+)]
+pub struct BindError {
+    /// The address and port.
+    pub address: SocketAddrV4,
+    /// What the system said.
+    pub reason: io::Error,
+}
+
+/// A simulated server node whose ports are open (R-2, PAS 7).
+#[derive(Debug)]
+pub struct ServerNode {
+    settings: NodeSettings,
+    normal: UdpSocket,
+    secure: UdpSocket,
+    counts: Arc<NodeCounts>,
+}
+
+impl ServerNode {
+    /// Opens the node's ports. Nothing is answered before [`serve`](Self::serve).
+    pub async fn bind(mut settings: NodeSettings) -> Result<Self, BindError> {
+        let normal = bind(settings.address, &mut settings.normal_port).await?;
+        let secure = bind(settings.address, &mut settings.secure_port).await?;
+        Ok(Self { settings, normal, secure, counts: Arc::default() })
+    }
+
+    /// What the node is like, with the ports that it got.
+    pub fn settings(&self) -> &NodeSettings {
+        &self.settings
+    }
+
+    /// Its counts, which go on counting while it serves.
+    pub fn counts(&self) -> Arc<NodeCounts> {
+        Arc::clone(&self.counts)
+    }
+
+    /// Answers requests until a socket fails.
+    pub async fn serve(self) -> io::Result<()> {
+        tokio::try_join!(
+            self.serve_port(&self.normal, Port::Normal),
+            self.serve_port(&self.secure, Port::Secure),
+        )
+        .map(|_| ())
+    }
+
+    async fn serve_port(&self, socket: &UdpSocket, port: Port) -> io::Result<()> {
+        // One octet more than fits: a longer datagram shows as too long instead of being cut.
+        let mut request = [0; MAX_DATAGRAM + 1];
+        let mut response = [0; MAX_DATAGRAM];
+        loop {
+            let (length, client) = socket.recv_from(&mut request).await?;
+            self.counts.received.fetch_add(1, Relaxed);
+            let answer = self.settings.answer(port, &request[..length], &mut response);
+            let outcome = match answer {
+                None => &self.counts.refused,
+                Some(length) => {
+                    if !self.settings.delay.is_zero() {
+                        tokio::time::sleep(self.settings.delay).await;
+                    }
+                    // A14: from the port that received.
+                    match socket.send_to(&response[..length], client).await {
+                        Ok(_) => &self.counts.answered,
+                        Err(_) => &self.counts.refused,
+                    }
+                }
+            };
+            outcome.fetch_add(1, Relaxed);
+        }
+    }
+}
+
+/// The port that a request came to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Port {
+    Normal,
+    Secure,
+}
+
+impl NodeSettings {
+    /// The node address: the last octet of the IP address (R-12, PAS 7).
+    pub fn node_address(&self) -> u8 {
+        self.address.octets()[3]
+    }
+
+    /// Writes the response to a request and says how long it is; none when the node stays silent.
+    fn answer(&self, port: Port, octets: &[u8], response: &mut [u8]) -> Option<usize> {
+        let request = Datagram::parse(octets, self.header).ok()?;
+        let route = request.route();
+        // R-33, PAS 5.4.1.2 a; nothing is answered to a broadcast, so BNA and SNA pass it by too.
+        if route.node_address() != Some(self.node_address()) {
+            return None;
+        }
+        let open = match port {
+            Port::Normal => true,
+            Port::Secure => self.password.matches(request.password()?).into(), // PAS 7
+        };
+        if !open {
+            return None;
+        }
+        // R-28, PAS 5.7.1.6: only a confirmed request is answered, so no response ever is.
+        let indication = Indication::parse(&request).filter(|indication| indication.confirm)?;
+        let response_octets = (self.reply)(self.node_address(), indication.dlsdu);
+        let route = self.response_route(route.ip_net_id(), indication.dl_route).ok()?;
+        DatagramRepr {
+            route: route.as_route(),
+            data_octets: &response_octets,
+            // Control-status as it came; so the password (R-39, PAS 9).
+            ..DatagramRepr::parse(&request)
+        }
+        .emit(response)
+        .ok()
+    }
+
+    /// The way back, and the way to the responder with NCNA last, for a response is unconfirmed
+    /// (R-34, PAS 6.1.1.1.1.5 to 7; R-30, PAS Table 1). The IPNetID is the request's: the node has
+    /// no IPNetTable that says otherwise.
+    fn response_route(
+        &self,
+        ip_net_id: Option<u8>,
+        indicated: DlRoute,
+    ) -> Result<RouteBuf, DlRouteError> {
+        let DlRoute { source: requester, destination: beyond } = indicated;
+        let responder = [&beyond[..], &[NCNA]].concat();
+        DlRoute::new(&requester, &responder)?
+            .sent_by(ip_net_id, self.node_address())? // R-27, PAS 5.7.1.5
+            .to_route()
+    }
+}
+
+async fn bind(address: Ipv4Addr, port: &mut u16) -> Result<UdpSocket, BindError> {
+    let address = SocketAddrV4::new(address, *port);
+    let failed = |reason| BindError { address, reason };
+    let socket = UdpSocket::bind(address).await.map_err(failed)?;
+    *port = socket.local_addr().map_err(failed)?.port();
+    Ok(socket)
+}

@@ -1,0 +1,275 @@
+//! Node and client against each other, over loopback sockets.
+
+use std::net::{Ipv4Addr, SocketAddr};
+use std::sync::Arc;
+use std::time::Duration;
+
+use tokio::net::UdpSocket;
+
+use super::*;
+use crate::wire::{Header, Password};
+
+const PASSWORD: &[u8; 8] = b"PNETPASS";
+/// Longer than any answer takes here.
+const LONG: Duration = Duration::from_secs(5);
+/// How long a client waits for an answer that must not come.
+const SHORT: Duration = Duration::from_millis(100);
+
+/// PAS Figure 10's request with four data octets, flags in the data-field-format and the password.
+const FIGURE_10: [u8; 26] = [
+    0x02, 0x00, 0x00, 0x00, // header
+    0x0B, 0x04, 0x05, 0x02, 0x21, 0x8B, 0x83, 0x9F, // route
+    0x55, 0xC4, 0xDE, 0xAD, 0xBE, 0xEF, // control-status, data-field-format, data
+    b'P', b'N', b'E', b'T', b'P', b'A', b'S', b'S',
+];
+
+/// Back to 11, 3, 31 from 11, 4, 2, 33 with NCNA last: eight elements, six behind the length.
+const ANSWER_TO_FIGURE_10: [u8; 27] = [
+    0x02, 0x00, 0x00, 0x00, // header
+    0x0B, 0x03, 0x06, 0x1F, 0x8B, 0x84, 0x82, 0xA1, 0x80, // route
+    0x55, 0xC4, 0xDE, 0xAD, 0xBE, 0xEF, // control-status, data-field-format, data
+    b'P', b'N', b'E', b'T', b'P', b'A', b'S', b'S',
+];
+
+/// Node 4, serving, on free ports of an address that no other test uses.
+struct Node {
+    settings: NodeSettings,
+    counts: Arc<NodeCounts>,
+}
+
+impl Node {
+    async fn serving(third_octet: u8) -> Self {
+        let node = ServerNode::bind(NodeSettings {
+            address: Ipv4Addr::new(127, 17, third_octet, 4),
+            normal_port: 0,
+            secure_port: 0,
+            header: Header::default(),
+            password: Password::new(*PASSWORD),
+            delay: Duration::ZERO,
+            reply: echo,
+        })
+        .await
+        .unwrap();
+        let (settings, counts) = (node.settings().clone(), node.counts());
+        tokio::spawn(node.serve());
+        Self { settings, counts }
+    }
+
+    /// A client whose start port makes node 4's public port the given one.
+    async fn client(&self, port: u16, password: Option<&[u8; 8]>) -> Client {
+        let password = password.map(|octets| Password::new(*octets));
+        let target = Target::new(self.settings.address.into(), port - 4, password);
+        Client::bind(target).await.unwrap()
+    }
+
+    /// What comes back for these octets, and whence.
+    async fn raw(&self, port: u16, octets: &[u8]) -> (Vec<u8>, SocketAddr) {
+        let socket = UdpSocket::bind("127.0.0.1:0").await.unwrap();
+        socket.send_to(octets, (self.settings.address, port)).await.unwrap();
+        let mut answer = [0; 200];
+        let received = tokio::time::timeout(LONG, socket.recv_from(&mut answer)).await;
+        let (length, from) = received.expect("an answer").unwrap();
+        (answer[..length].to_vec(), from)
+    }
+
+    /// Received, answered, refused.
+    fn counts(&self) -> (u64, u64, u64) {
+        (self.counts.received(), self.counts.answered(), self.counts.refused())
+    }
+}
+
+fn request(data_octets: &[u8]) -> Request<'_> {
+    Request { node_address: 4, beyond: &[2, 33], control_status: 0x55, data_octets }
+}
+
+#[tokio::test]
+async fn the_answer_to_figure_10_is_right_octet_for_octet() {
+    let node = Node::serving(1).await;
+    let (secure, normal) = (node.settings.secure_port, node.settings.normal_port);
+    // A14: from the port that received; R-39: with the password that came.
+    let answer = node.raw(secure, &FIGURE_10).await;
+    assert_eq!(answer.0, ANSWER_TO_FIGURE_10);
+    assert_eq!(answer.1, SocketAddr::from((node.settings.address, secure)));
+    // The Normal port asks for no password.
+    let answer = node.raw(normal, &FIGURE_10[..18]).await;
+    assert_eq!(answer.0, ANSWER_TO_FIGURE_10[..19]);
+    assert_eq!(answer.1, SocketAddr::from((node.settings.address, normal)));
+}
+
+#[tokio::test]
+async fn an_extended_request_is_answered_with_ncna_last() {
+    let node = Node::serving(2).await;
+    let request = [0x02, 0, 0, 0, 0x0B, 0x04, 0x8B, 0x83, 0x00, 0x03, 1, 2, 3];
+    let answer = node.raw(node.settings.normal_port, &request).await;
+    let route = [0x0B, 0x03, 0x03, 0x8B, 0x84, 0x80];
+    assert_eq!(answer.0, [&[2, 0, 0, 0], &route[..], &[0x00, 0x03, 1, 2, 3]].concat());
+}
+
+#[tokio::test]
+async fn a_client_gets_the_answers_to_its_requests() {
+    let node = Node::serving(3).await;
+    let mut client = node.client(node.settings.secure_port, Some(PASSWORD)).await;
+    for number in 0..300u32 {
+        let octets = number.to_be_bytes();
+        let (answer, round_trip) = client.exchange(&request(&octets), LONG).await.unwrap();
+        assert_eq!(answer.data_octets[..], octets);
+        assert_eq!(answer.control_status, 0x55);
+        assert_eq!(answer.sources[..], [11, 4, 2, 33, 0]);
+        assert_eq!(answer.destinations[..2], [11, 3]);
+        assert!(round_trip > Duration::ZERO && round_trip < LONG);
+    }
+    assert_eq!(node.counts(), (300, 300, 0));
+}
+
+#[tokio::test]
+async fn a_node_takes_its_time_and_gives_its_own_answer() {
+    let delay = Duration::from_millis(30);
+    let node = ServerNode::bind(NodeSettings {
+        address: Ipv4Addr::new(127, 17, 4, 4),
+        normal_port: 0,
+        secure_port: 0,
+        header: Header::default(),
+        password: Password::new(*PASSWORD),
+        delay,
+        reply: |node_address, request| [node_address, request[2]].into_iter().collect(),
+    })
+    .await
+    .unwrap();
+    let target = Target::new(
+        node.settings().address.into(),
+        node.settings().secure_port - 4,
+        Some(Password::new(*PASSWORD)),
+    );
+    tokio::spawn(node.serve());
+    let mut client = Client::bind(target).await.unwrap();
+    let (answer, round_trip) = client.exchange(&request(&[7, 8, 9]), LONG).await.unwrap();
+    assert_eq!(answer.data_octets[..], [4, 9]);
+    assert!(round_trip >= delay, "{round_trip:?}");
+}
+
+#[tokio::test]
+async fn everything_else_meets_silence() {
+    let node = Node::serving(5).await;
+    let secure = node.settings.secure_port;
+    let changed = |at: usize, to: u8| {
+        let mut octets = FIGURE_10.to_vec();
+        octets[at] = to;
+        octets
+    };
+    let silent = [
+        ("no octets", vec![]),
+        ("no password", FIGURE_10[..18].to_vec()),
+        ("wrong password", changed(25, b'Z')),
+        ("other node's address", changed(5, 5)),
+        ("BNA", changed(5, 126)),
+        ("SNA", changed(5, 127)),
+        ("BNA behind the node", changed(8, 126)),
+        ("unconfirmed, as a response is", changed(11, 0x80)),
+        ("wrong header", changed(0, 3)),
+        ("route length beyond the end", changed(6, 27)),
+        ("one source: Complex", [&FIGURE_10[..9], &[0x0B, 0x03], &FIGURE_10[11..]].concat()),
+        ("cut", FIGURE_10[..25].to_vec()),
+        ("one octet over", [&FIGURE_10[..], &[0]].concat()),
+        ("longer than any datagram", [&FIGURE_10[..], &[0; 100]].concat()),
+    ];
+    let socket = UdpSocket::bind("127.0.0.1:0").await.unwrap();
+    for (number, (what, octets)) in (1..).zip(&silent) {
+        for sent in [octets, &FIGURE_10[..]] {
+            socket.send_to(sent, (node.settings.address, secure)).await.unwrap();
+        }
+        let mut answer = [0; 200];
+        let length = socket.recv(&mut answer).await.unwrap();
+        assert_eq!(answer[..length], ANSWER_TO_FIGURE_10, "{what}");
+        assert_eq!(node.counts(), (2 * number, number, number), "{what}");
+    }
+}
+
+#[tokio::test]
+async fn a_route_with_no_room_for_ncna_meets_silence() {
+    let node = Node::serving(6).await;
+    let mut client = node.client(node.settings.normal_port, None).await;
+    // 2 + 23 destinations and 3 sources: 28 elements, and the NCNA makes 29.
+    let fits = Request { beyond: &[1; 23], ..request(&[1, 2, 3]) };
+    client.exchange(&fits, LONG).await.unwrap();
+    let full = Request { beyond: &[1; 24], ..fits };
+    let silence = client.exchange(&full, SHORT).await.unwrap_err();
+    assert!(matches!(silence, ExchangeError::NoAnswer { waited: SHORT }));
+    assert_eq!(node.counts.refused(), 1);
+    let too_long = Request { beyond: &[1; 25], ..fits };
+    let refused = client.exchange(&too_long, SHORT).await.unwrap_err();
+    assert!(matches!(refused, ExchangeError::Route(_)));
+}
+
+#[tokio::test]
+async fn a_wrong_password_gets_no_answer_and_the_client_says_so() {
+    let node = Node::serving(7).await;
+    let mut client = node.client(node.settings.secure_port, Some(b"PNETPASZ")).await;
+    let error = client.exchange(&request(&[1, 2, 3]), SHORT).await.unwrap_err();
+    assert_eq!(error.to_string(), "no answer within 100ms");
+}
+
+/// Answers each request with the given responses to it, in their order.
+async fn forger(responses: fn(&[u8]) -> Vec<Vec<u8>>) -> Client {
+    let socket = UdpSocket::bind("127.0.0.1:0").await.unwrap();
+    let port = socket.local_addr().unwrap().port();
+    tokio::spawn(async move {
+        let mut octets = [0; 200];
+        loop {
+            let (length, client) = socket.recv_from(&mut octets).await.unwrap();
+            for response in responses(&octets[..length]) {
+                socket.send_to(&response, client).await.unwrap();
+            }
+        }
+    });
+    let password = Some(Password::new(*PASSWORD));
+    Client::bind(Target::new(Ipv4Addr::LOCALHOST.into(), port - 4, password)).await.unwrap()
+}
+
+/// The answer to PAS Figure 10's request, to the endpoint of the request, with one octet changed.
+fn answer_to(request: &[u8], at: usize, to: u8) -> Vec<u8> {
+    let mut answer = ANSWER_TO_FIGURE_10.to_vec();
+    answer[7] = request[11] & 0x7F;
+    answer[at] = to;
+    answer
+}
+
+#[tokio::test]
+async fn a_client_passes_over_what_does_not_answer_its_request() {
+    let mut client = forger(|request| {
+        vec![
+            answer_to(request, 0, 3),                // header
+            answer_to(request, 7, 99),               // another endpoint: an earlier request's
+            answer_to(request, 9, 0x85),             // another node's
+            answer_to(request, 12, 0x81),            // no response: it is confirmed
+            answer_to(request, 26, b'Z'),            // another password
+            answer_to(request, 0, 2)[..19].to_vec(), // no password
+            answer_to(request, 0, 2)[..26].to_vec(), // cut
+            answer_to(request, 15, 0xAA),            // the one
+        ]
+    })
+    .await;
+    let (answer, _) = client.exchange(&request(&[1, 2, 3]), LONG).await.unwrap();
+    assert_eq!(answer.data_octets[..], [0xAA, 0xAD, 0xBE, 0xEF]);
+}
+
+#[tokio::test]
+async fn a_client_takes_a_response_to_its_net_125_address() {
+    // R-40, PAS 9: IPNetID 125 and a node address of the server's choice in the destination.
+    let mut client = forger(|request| {
+        let mut answer = answer_to(request, 4, 125);
+        answer[5] = 17;
+        vec![answer]
+    })
+    .await;
+    let (answer, _) = client.exchange(&request(&[1, 2, 3]), LONG).await.unwrap();
+    assert_eq!(answer.destinations[..2], [125, 17]);
+}
+
+#[tokio::test]
+async fn a_port_in_use_is_named() {
+    let node = Node::serving(8).await;
+    let error = ServerNode::bind(node.settings.clone()).await.unwrap_err();
+    let address = SocketAddr::from((node.settings.address, node.settings.normal_port));
+    assert!(error.to_string().contains(&format!("cannot listen on {address}: ")), "{error}");
+    assert!(!format!("{error:?} {:?}", node.settings).contains("PNETPASS"));
+}
