@@ -6,6 +6,7 @@
 //! order for newcomers: [`wire`], [`relay`], [`net`], then the rest.
 
 pub mod admin;
+pub mod cli;
 pub mod config;
 pub mod log;
 pub mod metrics;

@@ -1,3 +1,7 @@
 //! `pnet-nat`: parses the command line and does what it says.
 
-fn main() {}
+use std::process::ExitCode;
+
+fn main() -> ExitCode {
+    pnet_nat::cli::main()
+}

@@ -1,0 +1,142 @@
+//! `pnet-nat check`: every fault of a configuration, or what the router would do with it.
+//!
+//! Opens no socket. Faults and warnings go to stderr, tables to stdout.
+
+use std::io::{self, Write};
+use std::net::{IpAddr, SocketAddr};
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use comfy_table::{Table, presets};
+
+use super::{BAD_USE, complain};
+use crate::config::{self, Config};
+use crate::relay::{Mapping, Net, NetKind};
+
+/// What `pnet-nat check` is asked.
+#[derive(Debug, clap::Args)]
+pub(super) struct Args {
+    /// Configuration file
+    #[arg(long, value_name = "FILE", env = "PNET_NAT_CONFIG")]
+    config: PathBuf,
+    /// One line for each node, instead of one for each run of consecutive nodes
+    #[arg(long, env = "PNET_NAT_FULL")]
+    full: bool,
+}
+
+/// Prints all faults and returns exit code 2, or prints the warnings, the NAT table and the
+/// clients' IPNetTable rows.
+pub(super) fn run(args: Args) -> anyhow::Result<ExitCode> {
+    let (config, warnings) = match config::load(&args.config) {
+        Ok(sound) => sound,
+        Err(faults) => {
+            complain(faults);
+            return Ok(ExitCode::from(BAD_USE));
+        }
+    };
+    for warning in warnings {
+        complain(format_args!("warning: {warning}"));
+    }
+    io::stdout().write_all(summary(&config, args.full).as_bytes())?;
+    Ok(ExitCode::SUCCESS)
+}
+
+fn summary(config: &Config, full: bool) -> String {
+    let listen: Vec<_> = config.listen.iter().map(IpAddr::to_string).collect();
+    let remarks: Vec<_> = remarks_on_servers(config).map(|remark| remark + "\n").collect();
+    format!(
+        "Sound. The NAT table, on {}:\n\n{}\n\n\
+         What a remote client enters in its IPNetTable:\n\n{}\n\n\
+         Router: the node address of the router on the client's own net, as the client has it.\n{}",
+        listen.join(", "),
+        nat_table(config, full),
+        ip_net_table(config),
+        remarks.concat(),
+    )
+}
+
+/// PAS 5.2.6: which public port stands for which server.
+fn nat_table(config: &Config, full: bool) -> Table {
+    let mut table = plain_table(["Public port", "Server", "Node", "Net"]);
+    let follows =
+        |a: &Mapping, b: &Mapping| !full && a.net == b.net && a.node_address + 1 == b.node_address;
+    for run in config.table.mappings().chunk_by(follows) {
+        let (first, last) = (&run[0], &run[run.len() - 1]);
+        let name = config.table.net(first.net).name.clone();
+        table.add_row([
+            span(first.public_port, last.public_port),
+            servers(first.server, last.server),
+            span(first.node_address, last.node_address),
+            name,
+        ]);
+    }
+    table
+}
+
+/// PAS 8, Table 4: the row that leads to each net.
+fn ip_net_table(config: &Config) -> Table {
+    let mut table = plain_table(["Net", "IPAddr", "UDPPort", "UsePW", "Router", "Nettype"]);
+    let address = public_address(&config.listen);
+    for (net, udp_port) in udp_ports(config) {
+        let Some(udp_port) = udp_port else { continue };
+        table.add_row([
+            net.name.clone(),
+            address.clone(),
+            udp_port.to_string(),
+            u8::from(!net.credentials.is_empty()).to_string(),
+            "the client's".to_owned(),
+            "UDPRange".to_owned(),
+        ]);
+    }
+    table
+}
+
+/// The UDPPort of each net's row: public port - node address (R-10), if there is such a port.
+fn udp_ports(config: &Config) -> impl Iterator<Item = (&Net, Option<u16>)> {
+    let nets = config.table.mappings().chunk_by(|a, b| a.net == b.net);
+    nets.map(|mappings| {
+        let start = mappings[0].public_port.checked_sub(mappings[0].node_address.into());
+        (config.table.net(mappings[0].net), start.filter(|&port| port > 0))
+    })
+}
+
+fn remarks_on_servers(config: &Config) -> impl Iterator<Item = String> {
+    let single = |mapping: &&Mapping| config.table.net(mapping.net).kind == NetKind::Server;
+    config.table.mappings().iter().filter(single).map(|mapping| {
+        let name = &config.table.net(mapping.net).name;
+        let (port, node) = (mapping.public_port, mapping.node_address);
+        if port > node.into() {
+            format!("{name}: its row reaches node {node} alone.")
+        } else {
+            format!("{name}: no row reaches node {node}, for public port {port} is too low.")
+        }
+    })
+}
+
+fn public_address(listen: &[IpAddr]) -> String {
+    if listen.iter().any(IpAddr::is_unspecified) {
+        return "your public address".to_owned();
+    }
+    listen.iter().map(IpAddr::to_string).collect::<Vec<_>>().join(" or ")
+}
+
+fn span<T: PartialEq + ToString>(first: T, last: T) -> String {
+    let (single, first, last) = (first == last, first.to_string(), last.to_string());
+    if single { first } else { format!("{first}-{last}") }
+}
+
+/// `172.17.17.1-4:34379`: consecutive servers differ in their last octet.
+fn servers(first: SocketAddr, last: SocketAddr) -> String {
+    match (first.ip(), last.ip()) {
+        (IpAddr::V4(from), IpAddr::V4(to)) if from != to => {
+            format!("{from}-{}:{}", to.octets()[3], first.port())
+        }
+        _ => first.to_string(),
+    }
+}
+
+fn plain_table<const COLUMNS: usize>(header: [&str; COLUMNS]) -> Table {
+    let mut table = Table::new();
+    table.load_preset(presets::ASCII_MARKDOWN).set_header(header);
+    table
+}

@@ -1,0 +1,111 @@
+//! `pnet-nat demo`: the whole picture in one process on loopback, with nothing to set up.
+//!
+//! `plant` sets up the server nodes and the relay's configuration, `traffic` is the remote client
+//! and the strangers, `figures` gathers and judges, `table` shows. Here they are started, ended and
+//! taken down. Invariant: the exit code is 0 only if `figures` finds no fault.
+
+mod figures;
+mod plant;
+mod table;
+mod traffic;
+
+use std::cell::Cell;
+use std::future;
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use anyhow::Context;
+use tokio::net::TcpListener;
+use tokio::sync::oneshot;
+
+use super::signals::Signals;
+use crate::admin;
+use crate::net::Router;
+
+use figures::Figures;
+use plant::Plant;
+use table::Display;
+use traffic::Traffic;
+
+/// The admin server listens here when it can, and on any free port otherwise.
+const ADMIN: &str = "127.0.0.1:9378";
+
+/// Four simulated server nodes, the relay, a remote client and a stranger, all on loopback
+#[derive(Debug, clap::Args)]
+pub(super) struct Args {
+    /// End after this many seconds; otherwise at Ctrl-C
+    #[arg(
+        long,
+        value_name = "N",
+        value_parser = clap::value_parser!(u64).range(1..),
+        env = "PNET_NAT_SECONDS"
+    )]
+    seconds: Option<u64>,
+}
+
+/// Runs the demo; fails unless every answer was right and the stranger got none.
+pub(super) fn run(args: Args) -> anyhow::Result<ExitCode> {
+    tokio::runtime::Builder::new_current_thread().enable_all().build()?.block_on(demo(args))
+}
+
+async fn demo(args: Args) -> anyhow::Result<ExitCode> {
+    let plant = Plant::build().await?;
+    let admin = match TcpListener::bind(ADMIN).await {
+        Ok(listener) => listener,
+        Err(_) => TcpListener::bind("127.0.0.1:0").await?,
+    };
+    let admin_address = admin.local_addr()?;
+    let router = Router::start(plant.config(admin_address)).context("the relay does not start")?;
+    let router = Arc::new(router);
+    let (stop_admin, admin_stopped) = oneshot::channel::<()>();
+    let admin = tokio::spawn(admin::serve(admin, Arc::clone(&router), async {
+        let _ = admin_stopped.await;
+    }));
+
+    let traffic = Traffic::new(&plant);
+    let started = Instant::now();
+    let figures = || Figures::take(started.elapsed(), &plant, &router, &traffic);
+    let mut display = Display::open(admin_address)?;
+    let ended = Cell::new(false);
+    let showing = async {
+        let end = end(args.seconds)?;
+        tokio::pin!(end);
+        while !ended.get() {
+            display.show(&figures())?;
+            tokio::select! {
+                () = &mut end => ended.set(true),
+                () = tokio::time::sleep(display.interval()) => {}
+            }
+        }
+        Ok(())
+    };
+    tokio::try_join!(traffic.poll(&ended), traffic.intrude(&ended), showing)?;
+
+    // The nodes go on answering while the relay comes to rest; then the figures are final.
+    let stopping = Arc::clone(&router);
+    tokio::task::spawn_blocking(move || stopping.shut_down()).await?;
+    let figures = figures();
+    let faults = figures.faults();
+    display.close(&figures, &faults)?;
+    let _ = stop_admin.send(());
+    admin.await?;
+    Ok(if faults.is_empty() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+}
+
+/// Resolves after this many seconds, at SIGINT or at SIGTERM.
+fn end(seconds: Option<u64>) -> anyhow::Result<impl Future<Output = ()>> {
+    let mut signals = Signals::new()?;
+    Ok(async move {
+        let time_over = async {
+            match seconds {
+                Some(seconds) => tokio::time::sleep(Duration::from_secs(seconds)).await,
+                None => future::pending().await,
+            }
+        };
+        tokio::select! {
+            () = time_over => {}
+            _ = signals.next() => {}
+        }
+    })
+}

@@ -1,0 +1,168 @@
+//! The demo's plant: simulated server nodes on loopback, and the relay's configuration in front of
+//! them. Every address and port is chosen so that it is free.
+
+use std::fs::File;
+use std::io::{self, Read};
+use std::net::{IpAddr, Ipv4Addr, SocketAddr, UdpSocket};
+use std::sync::Arc;
+use std::time::Duration;
+
+use anyhow::{Context, bail};
+use arrayvec::ArrayVec;
+use tokio::task::JoinSet;
+
+use crate::config::{Admin, Config, Runtime};
+use crate::peer::{BindError, NodeCounts, NodeSettings, ServerNode, Target};
+use crate::relay::{Credential, Limits, Mapping, Net, NetId, NetKind, Table};
+use crate::wire::{Header, MAX_DATA, Password};
+
+/// Node addresses of the plant.
+const NODES: std::ops::RangeInclusive<u8> = 1..=4;
+const NORMAL_PORT: u16 = 34378;
+const SECURE_PORT: u16 = 34379;
+/// The relay's public address: loopback stands for the Internet.
+const PUBLIC: IpAddr = IpAddr::V4(Ipv4Addr::LOCALHOST);
+
+/// The plant; its nodes serve until it is dropped.
+pub(super) struct Plant {
+    password: Password,
+    start_port: u16,
+    nodes: Vec<PlantNode>,
+    _serving: JoinSet<io::Result<()>>,
+}
+
+/// One server node of the plant.
+pub(super) struct PlantNode {
+    /// Its node address.
+    pub(super) node_address: u8,
+    /// The relay's address and port for it.
+    pub(super) public: SocketAddr,
+    /// Its own address and Secure port.
+    pub(super) server: SocketAddr,
+    /// What it has seen.
+    pub(super) counts: Arc<NodeCounts>,
+}
+
+impl Plant {
+    /// Starts the nodes and finds public ports for them.
+    pub(super) async fn build() -> anyhow::Result<Self> {
+        let password = random_password()?;
+        let start_port = free_start_port()?;
+        let mut serving = JoinSet::new();
+        let nodes = bind_nodes(&password).await?.into_iter().map(|node| {
+            let settings = node.settings();
+            let node_address = settings.node_address();
+            let plant_node = PlantNode {
+                node_address,
+                public: SocketAddr::new(PUBLIC, start_port + u16::from(node_address)),
+                server: SocketAddr::from((settings.address, settings.secure_port)),
+                counts: node.counts(),
+            };
+            serving.spawn(node.serve());
+            plant_node
+        });
+        Ok(Self { nodes: nodes.collect(), password, start_port, _serving: serving })
+    }
+
+    /// The server nodes, in the order of the relay's table.
+    pub(super) fn nodes(&self) -> &[PlantNode] {
+        &self.nodes
+    }
+
+    /// The plant as its remote client knows it.
+    pub(super) fn target(&self) -> Target {
+        Target::new(PUBLIC, self.start_port, Some(self.password.clone()))
+    }
+
+    /// What the relay in front of the plant works from.
+    pub(super) fn config(&self, admin: SocketAddr) -> Config {
+        let net = Net {
+            name: "demo".into(),
+            kind: NetKind::UdpRange { start_port: self.start_port },
+            allow: vec!["127.0.0.0/8".parse().expect("a network")],
+            credentials: vec![Credential {
+                name: "demo".into(),
+                password: self.password.clone(),
+                device_password: None,
+            }],
+            allow_without_password: false,
+            require_response_password: true,
+            idle_timeout: Duration::from_secs(300),
+            max_flows: 64,
+        };
+        let mapping = |node: &PlantNode| Mapping {
+            net: NetId(0),
+            node_address: node.node_address,
+            public_port: node.public.port(),
+            server: node.server,
+        };
+        let mappings = self.nodes.iter().map(mapping).collect();
+        Config {
+            listen: vec![PUBLIC],
+            table: Arc::new(Table::new(Header::default(), vec![net], mappings)),
+            limits: Limits {
+                max_flows: 64,
+                wrong_password_burst: 10,
+                wrong_password_interval: Duration::from_millis(200),
+            },
+            runtime: Runtime::default(),
+            admin: Some(Admin { listen: admin }),
+        }
+    }
+}
+
+/// What a node of the plant answers: the data of the request, and its node address. An answer to
+/// another request, or from another node, does not look like it.
+pub(super) fn reading(node_address: u8, request: &[u8]) -> ArrayVec<u8, MAX_DATA> {
+    request.iter().copied().take(MAX_DATA - 1).chain([node_address]).collect()
+}
+
+/// The nodes at 127.17.17.x, or in the next subnet where their ports are free.
+async fn bind_nodes(password: &Password) -> Result<Vec<ServerNode>, BindError> {
+    let mut subnet = 17;
+    loop {
+        match bind_subnet(subnet, password).await {
+            Err(taken) if taken.reason.kind() == io::ErrorKind::AddrInUse && subnet < 255 => {
+                subnet += 1;
+            }
+            outcome => return outcome,
+        }
+    }
+}
+
+async fn bind_subnet(subnet: u8, password: &Password) -> Result<Vec<ServerNode>, BindError> {
+    let mut nodes = Vec::new();
+    for node_address in NODES {
+        let settings = NodeSettings {
+            address: Ipv4Addr::new(127, 17, subnet, node_address),
+            normal_port: NORMAL_PORT,
+            secure_port: SECURE_PORT,
+            header: Header::default(),
+            password: password.clone(),
+            delay: Duration::from_millis(node_address.into()),
+            reply: reading,
+        };
+        nodes.push(ServerNode::bind(settings).await?);
+    }
+    Ok(nodes)
+}
+
+/// 40000, or the next start port where the ports of all nodes are free. The relay shares its ports
+/// among its own sockets, so a second relay would get them too: a socket that shares nothing tells.
+fn free_start_port() -> anyhow::Result<u16> {
+    for start_port in (40_000..60_000).step_by(200) {
+        let free = |node: u8| UdpSocket::bind((PUBLIC, start_port + u16::from(node))).is_ok();
+        if NODES.into_iter().all(free) {
+            return Ok(start_port);
+        }
+    }
+    bail!("no block of free UDP ports on {PUBLIC} between 40000 and 60000; end another program")
+}
+
+fn random_password() -> anyhow::Result<Password> {
+    let mut octets = [0; Password::LEN];
+    File::open("/dev/urandom")
+        .and_then(|mut random| random.read_exact(&mut octets))
+        .context("/dev/urandom cannot be read")?;
+    Ok(Password::new(octets))
+}

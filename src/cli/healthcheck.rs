@@ -1,0 +1,93 @@
+//! `pnet-nat healthcheck`: asks a running relay whether it is ready, for containers that have no
+//! shell and no curl.
+
+use std::process::ExitCode;
+use std::time::Duration;
+
+use ureq::Agent;
+
+/// Exit 0 when the relay is ready, 1 and a line that says why when it is not.
+#[derive(Debug, clap::Args)]
+pub(super) struct Args {
+    /// What to ask.
+    #[arg(
+        long,
+        env = "PNET_NAT_HEALTHCHECK_URL",
+        value_name = "URL",
+        default_value = "http://127.0.0.1:9378/-/ready"
+    )]
+    url: String,
+
+    /// How long to wait for the answer.
+    #[arg(
+        long,
+        env = "PNET_NAT_HEALTHCHECK_TIMEOUT",
+        value_name = "DURATION",
+        default_value = "3s",
+        value_parser = humantime::parse_duration
+    )]
+    timeout: Duration,
+}
+
+/// Asks once.
+pub(super) fn run(args: Args) -> anyhow::Result<ExitCode> {
+    // Straight to the relay: neither proxies of the environment nor redirects.
+    let agent: Agent = Agent::config_builder()
+        .timeout_global(Some(args.timeout))
+        .http_status_as_error(false)
+        .max_redirects(0)
+        .proxy(None)
+        .build()
+        .into();
+    let why = match agent.get(&args.url).call() {
+        Ok(answer) if answer.status() == 200 => return Ok(ExitCode::SUCCESS),
+        Ok(answer) => format!("answered {}", answer.status()),
+        Err(error) => error.to_string(),
+    };
+    println!("not ready: {}: {why}", args.url);
+    Ok(ExitCode::FAILURE)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io::{BufRead, BufReader, Write};
+    use std::net::TcpListener;
+    use std::thread;
+
+    use super::*;
+
+    /// Asks a server that answers one request with this status line.
+    fn ask(status: &'static str) -> ExitCode {
+        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+        let url = format!("http://{}/-/ready", listener.local_addr().unwrap());
+        let server = thread::spawn(move || {
+            let (mut stream, _) = listener.accept().unwrap();
+            let request = BufReader::new(&stream).lines().map_while(Result::ok);
+            let request: Vec<_> = request.take_while(|line| !line.is_empty()).collect();
+            assert_eq!(request[0], "GET /-/ready HTTP/1.1");
+            let headers = "content-length: 0\r\nconnection: close\r\nlocation: /\r\n";
+            write!(stream, "HTTP/1.1 {status}\r\n{headers}\r\n").unwrap();
+        });
+        let code = run(Args { url, timeout: Duration::from_secs(10) }).unwrap();
+        server.join().unwrap();
+        code
+    }
+
+    #[test]
+    fn only_200_is_ready() {
+        assert_eq!(ask("200 OK"), ExitCode::SUCCESS);
+        for status in ["503 Service Unavailable", "204 No Content", "302 Found", "404 Not Found"] {
+            assert_eq!(ask(status), ExitCode::FAILURE, "{status}");
+        }
+    }
+
+    #[test]
+    fn a_server_that_is_silent_or_absent_is_not_ready() {
+        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+        let url = format!("http://{}/", listener.local_addr().unwrap());
+        let timeout = Duration::from_millis(200);
+        assert_eq!(run(Args { url: url.clone(), timeout }).unwrap(), ExitCode::FAILURE);
+        drop(listener);
+        assert_eq!(run(Args { url, timeout }).unwrap(), ExitCode::FAILURE);
+    }
+}

@@ -1,0 +1,85 @@
+//! The command line: one file a command.
+//!
+//! Exit codes: 0 done, 1 failed at run time, 2 bad command line or configuration.
+
+mod check;
+mod demo;
+mod healthcheck;
+mod node;
+mod request;
+mod run;
+mod signals;
+
+use std::io::{self, Write};
+use std::process::ExitCode;
+
+use anyhow::anyhow;
+use clap::{Parser, Subcommand};
+use tracing::Level;
+
+use crate::config;
+use crate::log::{self, LogFormat};
+use crate::wire::Password;
+
+/// The NAT router of P-NET on IP (IEC PAS 62412): lets remote clients reach the server nodes of a
+/// plant, checks every datagram and its password, and counts everything.
+#[derive(Parser)]
+#[command(version, propagate_version = true)]
+#[command(after_help = "Try it with nothing set up:  pnet-nat demo\n\
+    Exit codes: 0 done, 1 failed at run time, 2 bad command line or configuration.")]
+struct Cli {
+    /// How log lines are written to stderr; auto is text on a terminal and JSON elsewhere.
+    #[arg(long, global = true, env = "PNET_NAT_LOG_FORMAT", value_enum, default_value_t)]
+    log_format: LogFormat,
+    /// What is logged: error, warn, info, debug or trace [default: info for run, warn elsewhere]
+    #[arg(long, global = true, env = "PNET_NAT_LOG_LEVEL", value_name = "LEVEL")]
+    log_level: Option<Level>,
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    Run(run::Args),
+    Check(check::Args),
+    Demo(demo::Args),
+    Node(node::Args),
+    Request(request::Args),
+    Healthcheck(healthcheck::Args),
+}
+
+/// Bad command line or configuration.
+const BAD_USE: u8 = 2;
+
+/// Runs the program.
+pub fn main() -> ExitCode {
+    let cli = Cli::parse();
+    let usual = match cli.command {
+        Command::Run(_) => Level::INFO,
+        _ => Level::WARN,
+    };
+    let _log = log::init(cli.log_format, cli.log_level.unwrap_or(usual));
+    let done = match cli.command {
+        Command::Run(args) => run::run(&args),
+        Command::Check(args) => check::run(args),
+        Command::Demo(args) => demo::run(args),
+        Command::Node(args) => node::run(args),
+        Command::Request(args) => request::run(args),
+        Command::Healthcheck(args) => healthcheck::run(args),
+    };
+    done.unwrap_or_else(|error| {
+        complain(format_args!("pnet-nat: {error:#}"));
+        ExitCode::FAILURE
+    })
+}
+
+/// The password in a file: a value parser of options.
+fn password_file(path: &str) -> anyhow::Result<Password> {
+    config::read_password(path.into()).map_err(|error| anyhow!("{error}; {}", error.remedy()))
+}
+
+/// Says on stderr why a command cannot be carried out. When even stderr is gone, the exit code
+/// has to do.
+fn complain(message: impl std::fmt::Display) {
+    let _ = writeln!(io::stderr(), "{message}");
+}

@@ -1,0 +1,117 @@
+//! `pnet-nat run`: the relay, until a signal ends it.
+
+use std::net::{SocketAddr, TcpListener as StdListener};
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::sync::Arc;
+
+use anyhow::Context;
+use tokio::net::TcpListener;
+use tokio::sync::Notify;
+
+use super::signals::Signals;
+use super::{BAD_USE, complain};
+use crate::admin;
+use crate::config::{self, Config};
+use crate::log::Noise;
+use crate::net::Router;
+
+/// Relay between clients on the Internet and the server nodes of a plant.
+///
+/// Ends on SIGTERM or SIGINT: takes no more requests, waits for the answers that are due, and
+/// exits 0. A second signal ends it at once.
+#[derive(clap::Args)]
+#[command(after_help = "Example:  pnet-nat run --config /etc/pnet-nat/pnet-nat.toml")]
+pub(super) struct Args {
+    /// The configuration; config/pnet-nat.toml explains every key.
+    #[arg(long, value_name = "FILE", env = "PNET_NAT_CONFIG")]
+    config: PathBuf,
+}
+
+/// Runs the command.
+pub(super) fn run(args: &Args) -> anyhow::Result<ExitCode> {
+    let (config, warnings) = match config::load(&args.config) {
+        Ok(sound) => sound,
+        Err(faults) => {
+            complain(faults);
+            return Ok(ExitCode::from(BAD_USE));
+        }
+    };
+    for warning in warnings {
+        tracing::warn!("{warning}");
+    }
+    match start(config) {
+        Ok((router, admin)) => relay(Arc::new(router), admin),
+        Err(error) => {
+            complain(format_args!("pnet-nat: {error:#}"));
+            Ok(ExitCode::from(BAD_USE))
+        }
+    }
+}
+
+/// Binds everything, or nothing.
+fn start(config: Config) -> anyhow::Result<(Router, Option<StdListener>)> {
+    let admin = config.admin.as_ref().map(|admin| bind_admin(admin.listen)).transpose()?;
+    Ok((Router::start(config)?, admin))
+}
+
+fn bind_admin(address: SocketAddr) -> anyhow::Result<StdListener> {
+    let listener = StdListener::bind(address).with_context(|| {
+        format!("the admin server cannot listen on {address}; see [admin] listen")
+    })?;
+    listener.set_nonblocking(true)?;
+    Ok(listener)
+}
+
+fn relay(router: Arc<Router>, admin: Option<StdListener>) -> anyhow::Result<ExitCode> {
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+    runtime.block_on(async {
+        let mut signals = Signals::new()?;
+        let mut noise = Noise::new(Arc::clone(&router));
+        let stopped = Arc::new(Notify::new());
+        let serving = match admin {
+            Some(listener) => {
+                let listener = TcpListener::from_std(listener)?;
+                let (router, stopped) = (Arc::clone(&router), Arc::clone(&stopped));
+                Some(tokio::spawn(async move {
+                    admin::serve(listener, router, stopped.notified()).await;
+                }))
+            }
+            None => None,
+        };
+        announce(&router);
+        tokio::select! {
+            name = signals.next() => tracing::info!(signal = name, "stopping"),
+            never = noise.run() => never,
+        }
+        let draining = Arc::clone(&router);
+        let drained = tokio::task::spawn_blocking(move || draining.shut_down());
+        tokio::select! {
+            drained = drained => drained?,
+            name = signals.next() => {
+                tracing::warn!(signal = name, "stopping at once");
+                return Ok(ExitCode::FAILURE);
+            }
+        }
+        noise.report();
+        stopped.notify_one();
+        if let Some(serving) = serving {
+            serving.await?;
+        }
+        tracing::info!("stopped");
+        Ok(ExitCode::SUCCESS)
+    })
+}
+
+fn announce(router: &Router) {
+    let config = router.config();
+    tracing::info!(
+        version = env!("CARGO_PKG_VERSION"),
+        listen = ?config.listen,
+        nets = config.table.nets().len(),
+        public_ports = config.table.mappings().len(),
+        workers = router.counters().len(),
+        admin = config.admin.as_ref().map(|admin| tracing::field::display(admin.listen)),
+        "relaying"
+    );
+}
