@@ -14,7 +14,7 @@ use std::time::{Duration, Instant};
 use nix::sys::eventfd::{EfdFlags, EventFd};
 
 use crate::config::Config;
-use crate::relay::{Core, Counters, FlowBudget, FlowRecord, MappingId, NetId};
+use crate::relay::{Core, Counters, FlowRecord, MappingId, NetId, Rules};
 
 use super::descriptors::{self, Plan, TooFewDescriptors};
 use super::socket;
@@ -79,7 +79,7 @@ impl Router {
         let plan = descriptors::plan(addresses, config.runtime.workers)?;
         let public = bind(&config, plan.workers)?;
 
-        let budget = Arc::new(FlowBudget::new(&config.table, &config.limits));
+        let rules = Rules::new(Arc::clone(&config.table), config.limits);
         let mut router = Self {
             config,
             counters: Vec::new(),
@@ -90,7 +90,7 @@ impl Router {
             started,
         };
         let workers: Vec<_> = (0..plan.workers)
-            .map(|index| router.build_worker(index, &plan, &budget))
+            .map(|index| router.build_worker(index, &plan, rules.clone()))
             .collect::<io::Result<_>>()?;
         let mut threads = Vec::new();
         for (index, worker) in workers.into_iter().enumerate() {
@@ -176,26 +176,14 @@ impl Router {
         flows
     }
 
-    fn build_worker(
-        &mut self,
-        index: usize,
-        plan: &Plan,
-        budget: &Arc<FlowBudget>,
-    ) -> io::Result<Worker> {
+    fn build_worker(&mut self, index: usize, plan: &Plan, rules: Rules) -> io::Result<Worker> {
         let counters = Arc::new(Counters::new(&self.config.table));
         let flags = EfdFlags::EFD_NONBLOCK | EfdFlags::EFD_CLOEXEC;
         let wake = Arc::new(EventFd::from_flags(flags)?);
         let (commands, inbox) = mpsc::channel();
         self.counters.push(Arc::clone(&counters));
         self.workers.push(Handle { commands, wake: Arc::clone(&wake) });
-        let core = Core::new(
-            Arc::clone(&self.config.table),
-            &self.config.limits,
-            counters,
-            Arc::clone(budget),
-            self.started,
-            fastrand::Rng::new(),
-        );
+        let core = Core::new(rules, counters, self.started, fastrand::Rng::new());
         Worker::new(Parts {
             core,
             public: Arc::clone(&self.public[index]),

@@ -41,6 +41,12 @@ impl FlowBudget {
         true
     }
 
+    /// Takes a place that the flow had under earlier limits, whatever the new ones say.
+    pub(super) fn take_regardless(&self, net: NetId) {
+        self.nets[usize::from(net.0)].taken.fetch_add(1, Relaxed);
+        self.all.taken.fetch_add(1, Relaxed);
+    }
+
     /// Gives a place back.
     pub(super) fn give(&self, net: NetId) {
         self.nets[usize::from(net.0)].give();

@@ -14,14 +14,14 @@ use slab::Slab;
 
 use crate::wire;
 
-use super::budget::FlowBudget;
 use super::check::{self, Request};
 use super::counters::Counters;
 use super::flow::{Endpoints, Flow, FlowId, FlowRecord, ListenerId};
 use super::reason::{CloseReason, Direction, DropReason};
-use super::table::{Limits, MappingId, Table};
+use super::reload::Rules;
+use super::table::MappingId;
 use super::throttle::Throttle;
-use super::upstream::{UpstreamId, Upstreams};
+use super::upstream::{Owner, UpstreamId, Upstreams};
 
 /// A request that waited unanswered for longer is taken as lost: the response time of the next
 /// answer counts from the request after it.
@@ -83,37 +83,32 @@ pub struct ToClient {
 /// The flows of one worker and what decides over them.
 #[derive(Debug)]
 pub struct Core {
-    table: Arc<Table>,
-    counters: Arc<Counters>,
-    budget: Arc<FlowBudget>,
-    flows: Slab<Flow>,
-    by_endpoints: HashMap<Endpoints, FlowId, RandomState>,
+    pub(super) rules: Rules,
+    pub(super) counters: Arc<Counters>,
+    pub(super) flows: Slab<Flow>,
+    pub(super) by_endpoints: HashMap<Endpoints, FlowId, RandomState>,
     upstreams: Upstreams,
-    throttle: Throttle,
-    random: fastrand::Rng,
+    pub(super) throttle: Throttle,
     start: Instant,
 }
 
 impl Core {
-    /// A core without flows. `start` is when the router started; `random` decides which open
+    /// A core without flows, whose `counters` are those of the rules' table. `start` is when the router started; `random` decides which open
     /// socket a new client shares.
     pub fn new(
-        table: Arc<Table>,
-        limits: &Limits,
+        rules: Rules,
         counters: Arc<Counters>,
-        budget: Arc<FlowBudget>,
         start: Instant,
         random: fastrand::Rng,
     ) -> Self {
+        let throttle = Throttle::new(&rules.limits, start);
         Self {
-            table,
+            rules,
             counters,
-            budget,
             flows: Slab::new(),
             by_endpoints: HashMap::default(),
-            upstreams: Upstreams::default(),
-            throttle: Throttle::new(limits, start),
-            random,
+            upstreams: Upstreams::new(random),
+            throttle,
             start,
         }
     }
@@ -133,7 +128,7 @@ impl Core {
         node.received.add(1);
         if let Err(reason) = verdict {
             node.dropped(reason).add(1);
-            let net = self.counters.net(self.table.mapping(arrival.mapping).net);
+            let net = self.counters.net(self.rules.table.mapping(arrival.mapping).net);
             net.sources(reason).note(SOURCE_HASH.hash_one(arrival.client.ip()));
         }
         verdict
@@ -155,7 +150,7 @@ impl Core {
         };
         let mapping = match flow {
             Some(id) => Some(self.flows[id.key()].mapping),
-            None => self.table.mapping_of_server(server),
+            None => self.rules.table.mapping_of_server(server),
         };
         let node = mapping.map_or(&self.counters.stray, |mapping| self.counters.node(mapping));
         let node = node.direction(Direction::Response);
@@ -183,7 +178,7 @@ impl Core {
     /// any more. To be called about once a second.
     pub fn expire(&mut self, now: Instant, shell: &mut impl Shell) {
         let idle = |flow: &Flow| {
-            let net = self.table.net(self.table.mapping(flow.mapping).net);
+            let net = self.rules.table.net(self.rules.table.mapping(flow.mapping).net);
             now.saturating_duration_since(flow.last_used) >= net.idle_timeout
         };
         let expired: Vec<_> =
@@ -222,9 +217,9 @@ impl Core {
     #[cfg(test)]
     pub(super) fn check_invariants(&self, now: Instant) {
         assert_eq!(self.flows.len(), self.by_endpoints.len());
-        let mut by_net = vec![0; self.table.nets().len()];
+        let mut by_net = vec![0; self.rules.table.nets().len()];
         for (key, flow) in &self.flows {
-            let mapping = self.table.mapping(flow.mapping);
+            let mapping = self.rules.table.mapping(flow.mapping);
             assert_eq!(self.by_endpoints[&flow.endpoints].key(), key);
             assert_eq!(
                 self.upstreams.flow(flow.upstream, mapping.server).map(FlowId::key),
@@ -250,9 +245,9 @@ impl Core {
         octets: &mut [u8],
         shell: &mut impl Shell,
     ) -> Result<ToServer, DropReason> {
-        let mapping = self.table.mapping(arrival.mapping);
-        let net = self.table.net(mapping.net);
-        let request = Request::parse(octets, self.table.header, net)?;
+        let mapping = self.rules.table.mapping(arrival.mapping);
+        let net = self.rules.table.net(mapping.net);
+        let request = Request::parse(octets, self.rules.table.header, net)?;
 
         // An open flow is judged by its password alone, so that wrong passwords under a client's
         // address cannot lock the client out.
@@ -289,7 +284,7 @@ impl Core {
         flow.credential = credential;
         flow.unanswered = flow.unanswered.filter(|&since| now - since < LOST_AFTER).or(Some(now));
         if let Some(index) = credential {
-            let net = self.table.net(mapping.net);
+            let net = self.rules.table.net(mapping.net);
             self.counters.net(mapping.net).accepted[usize::from(index)].add(1);
             if let Some(device) = &net.credentials[usize::from(index)].device_password {
                 wire::replace_password(octets, device);
@@ -306,10 +301,10 @@ impl Core {
         id: FlowId,
         octets: &mut [u8],
     ) -> Result<ToClient, DropReason> {
-        let password = check::response(octets, self.table.header)?;
+        let password = check::response(octets, self.rules.table.header)?;
         let flow = &mut self.flows[id.key()];
-        let mapping = self.table.mapping(flow.mapping);
-        let net = self.table.net(mapping.net);
+        let mapping = self.rules.table.mapping(flow.mapping);
+        let net = self.rules.table.net(mapping.net);
         let credential = flow.credential.map(|index| &net.credentials[usize::from(index)]);
         match (password, credential) {
             (Some(password), Some(credential)) => {
@@ -345,17 +340,20 @@ impl Core {
         credential: Option<u16>,
         shell: &mut impl Shell,
     ) -> Result<FlowId, DropReason> {
-        let mapping = self.table.mapping(arrival.mapping);
-        if !self.budget.take(mapping.net) {
+        let mapping = self.rules.table.mapping(arrival.mapping);
+        if !self.rules.budget.take(mapping.net) {
             return Err(DropReason::FlowLimit); // N-8
         }
         let place = self.flows.vacant_entry();
-        let id = FlowId(place.key() as u32); // the budget counts flows in a u32
-        let upstreams = &mut self.upstreams;
-        let random = &mut self.random;
-        let assigned = upstreams.assign(id, arrival.client, mapping.server, random, shell);
+        let id = FlowId::new(place.key());
+        let owner = Owner {
+            client: arrival.client,
+            public_address: arrival.public_address,
+            public_port: mapping.public_port,
+        };
+        let assigned = self.upstreams.assign(id, owner, mapping.server, shell);
         let Some((upstream, upstream_port)) = assigned else {
-            self.budget.give(mapping.net);
+            self.rules.budget.give(mapping.net);
             return Err(DropReason::UpstreamExhausted);
         };
         let flow = place.insert(Flow {
@@ -376,12 +374,18 @@ impl Core {
         Ok(id)
     }
 
-    fn close(&mut self, key: usize, reason: CloseReason, now: Instant, shell: &mut impl Shell) {
+    pub(super) fn close(
+        &mut self,
+        key: usize,
+        reason: CloseReason,
+        now: Instant,
+        shell: &mut impl Shell,
+    ) {
         let flow = self.flows.remove(key);
-        let mapping = self.table.mapping(flow.mapping);
+        let mapping = self.rules.table.mapping(flow.mapping);
         self.by_endpoints.remove(&flow.endpoints);
         self.upstreams.release(flow.upstream, mapping.server, now);
-        self.budget.give(mapping.net);
+        self.rules.budget.give(mapping.net);
         let net = self.counters.net(mapping.net);
         net.flows.sub(1);
         net.flows_closed(reason).add(1);

@@ -4,12 +4,13 @@
 //! The law of the counters: at rest, for every net, node and direction,
 //! received = forwarded + the sum of dropped.
 
+use std::collections::HashMap;
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 use std::time::Duration;
 
 use super::reason::{CloseReason, Direction, DropReason};
 use super::sketch::SourceSketch;
-use super::table::{MappingId, NetId, Table};
+use super::table::{Credential, Mapping, MappingId, NetId, Table};
 
 /// A number with one writer and any number of readers.
 #[derive(Debug, Default)]
@@ -29,6 +30,11 @@ impl Counter {
     /// Sets the value. Called by the one writer only.
     pub fn set(&self, value: u64) {
         self.0.store(value, Relaxed);
+    }
+
+    /// Takes over the value of another.
+    fn copy(&self, other: &Self) {
+        self.set(other.get());
     }
 
     /// The value now.
@@ -70,6 +76,13 @@ impl DirectionCounters {
     /// The counter of one reason.
     pub fn dropped(&self, reason: DropReason) -> &Counter {
         &self.dropped[reason as usize]
+    }
+
+    fn copy(&self, other: &Self) {
+        self.received.copy(&other.received);
+        self.forwarded.copy(&other.forwarded);
+        self.forwarded_bytes.copy(&other.forwarded_bytes);
+        copy_all(&self.dropped, &other.dropped);
     }
 
     /// All that was dropped, whatever the reason.
@@ -116,6 +129,15 @@ pub struct NodeCounters {
 }
 
 impl NodeCounters {
+    fn copy(&self, other: &Self) {
+        for direction in Direction::ALL {
+            self.direction(direction).copy(other.direction(direction));
+        }
+        copy_all(&self.response_times.buckets, &other.response_times.buckets);
+        self.response_times.sum_nanos.copy(&other.response_times.sum_nanos);
+        self.last_response.copy(&other.last_response);
+    }
+
     /// The counters of one direction.
     pub fn direction(&self, direction: Direction) -> &DirectionCounters {
         &self.directions[direction as usize]
@@ -174,6 +196,42 @@ impl Counters {
         }
     }
 
+    /// Counters for the table `new` that go on from these, of the table `old`: nets by their name,
+    /// nodes by net and node address, credentials by net and name.
+    pub(super) fn carried_over(&self, old: &Table, new: &Table) -> Self {
+        let next = Self::new(new);
+        next.stray.copy(&self.stray);
+        let old_nets: HashMap<_, _> = old
+            .nets()
+            .iter()
+            .zip(&self.nets)
+            .map(|(net, counters)| (&net.name, (net, counters)))
+            .collect();
+        for (net, next) in new.nets().iter().zip(&next.nets) {
+            let Some((old, counters)) = old_nets.get(&net.name) else { continue };
+            next.flows.copy(&counters.flows);
+            next.flows_opened.copy(&counters.flows_opened);
+            copy_all(&next.flows_closed, &counters.flows_closed);
+            for (credential, next) in net.credentials.iter().zip(&next.accepted) {
+                let same = |old: &Credential| old.name == credential.name;
+                if let Some(index) = old.credentials.iter().position(same) {
+                    next.copy(&counters.accepted[index]);
+                }
+            }
+        }
+        let key = |table: &'_ Table, mapping: &Mapping| {
+            (table.net(mapping.net).name.clone(), mapping.node_address)
+        };
+        let old_nodes: HashMap<_, _> =
+            old.mappings().iter().map(|mapping| key(old, mapping)).zip(&self.nodes).collect();
+        for (mapping, next) in new.mappings().iter().zip(&next.nodes) {
+            if let Some(counters) = old_nodes.get(&key(new, mapping)) {
+                next.copy(counters);
+            }
+        }
+        next
+    }
+
     /// The counters of the node behind a mapping.
     pub fn node(&self, mapping: MappingId) -> &NodeCounters {
         &self.nodes[mapping.0 as usize]
@@ -183,6 +241,10 @@ impl Counters {
     pub fn net(&self, net: NetId) -> &NetCounters {
         &self.nets[usize::from(net.0)]
     }
+}
+
+fn copy_all(counters: &[Counter], others: &[Counter]) {
+    counters.iter().zip(others).for_each(|(counter, other)| counter.copy(other));
 }
 
 #[cfg(test)]

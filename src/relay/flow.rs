@@ -11,6 +11,11 @@ use super::upstream::UpstreamId;
 pub(super) struct FlowId(pub u32);
 
 impl FlowId {
+    /// The flow with this key. The budget counts flows in a `u32`, so every key fits.
+    pub(super) fn new(key: usize) -> Self {
+        Self(key as u32)
+    }
+
     pub(super) fn key(self) -> usize {
         self.0 as usize
     }

@@ -8,6 +8,7 @@ mod core;
 mod counters;
 mod flow;
 mod reason;
+mod reload;
 #[cfg(test)]
 mod simulation;
 mod sketch;
@@ -23,6 +24,7 @@ pub use counters::{
 };
 pub use flow::{FlowRecord, ListenerId};
 pub use reason::{CloseReason, Direction, DropReason};
+pub use reload::Rules;
 pub use sketch::SourceSketch;
 pub use table::{Credential, Limits, Mapping, MappingId, Net, NetId, NetKind, Table};
 pub use upstream::{REST, UpstreamId};

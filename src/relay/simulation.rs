@@ -1,5 +1,5 @@
-//! A seeded simulation of clients, nodes, time and limits around two cores, with the rules of the
-//! relay checked after every step.
+//! A seeded simulation of clients, nodes, time, limits and new configurations around two cores,
+//! with the rules of the relay checked after every step.
 //!
 //! A failing run prints its seed; `SIMULATION_SEED=… cargo test simulation` replays it. What the
 //! simulation believes about a datagram comes from how it made it, never from the code under test.
@@ -41,15 +41,28 @@ enum Expect {
     Drop(DropReason),
 }
 
-/// A request on its way through a node.
+/// A request on its way through a node. No index of a table is in it: tables come and go.
 #[derive(Clone)]
 struct Asked {
     worker: usize,
-    arrival: Arrival,
+    client: SocketAddr,
+    public_address: IpAddr,
+    public_port: u16,
     to: ToServer,
     sent: Instant,
-    credential: usize,
-    octets: Vec<u8>,
+    /// As the client sent it, and as the server got it.
+    octets: [Vec<u8>; 2],
+}
+
+/// What stays the same about a flow when a new configuration comes.
+#[derive(Clone, Debug, PartialEq)]
+struct Lasting {
+    client: SocketAddr,
+    public_address: IpAddr,
+    net: String,
+    mapping: (u8, u16, SocketAddr),
+    passwords: [[u8; 8]; 2],
+    upstream_port: u16,
 }
 
 /// The sockets as the simulation sees them.
@@ -97,8 +110,9 @@ struct Worker {
 struct World {
     rng: Rng,
     now: Instant,
-    table: Arc<Table>,
-    limits: Limits,
+    rules: Rules,
+    /// Places in use that a lower limit came too late for.
+    flows_before_reload: Vec<u64>,
     workers: Vec<Worker>,
     under_way: Vec<Asked>,
     /// Who used a (worker, upstream port, server) last, and when (N-9).
@@ -109,8 +123,10 @@ struct World {
     reasons: [usize; DropReason::COUNT],
 }
 
-fn table() -> Table {
-    let allow = vec!["198.51.100.0/24".parse().unwrap()];
+/// One of the configurations that the operator changes between.
+fn table(rng: &mut Rng) -> Table {
+    let wide = rng.u32(0..4) > 0;
+    let allow = vec![if wide { "198.51.100.0/24" } else { "198.51.100.0/30" }.parse().unwrap()];
     let credential = |name: &str, password: &[u8; 8], device: Option<&[u8; 8]>| Credential {
         name: name.into(),
         password: Password::new(*password),
@@ -126,10 +142,17 @@ fn table() -> Table {
         idle_timeout: Duration::from_secs(150),
         max_flows,
     };
-    let range = vec![
+    let mut range = vec![
         credential("service", b"service!", None),
         credential("rotated", b"rotated!", Some(b"device!!")),
     ];
+    match rng.u32(0..6) {
+        0 => drop(range.remove(0)),
+        1 => drop(range.remove(1)),
+        2 => range[1].device_password = Some(Password::new(*b"device-2")),
+        3 => range.reverse(),
+        _ => {}
+    }
     let press = vec![credential("press", b"press!!!", None)];
     let mapping = |net, node_address, public_port, server: &str| Mapping {
         net: NetId(net),
@@ -137,38 +160,44 @@ fn table() -> Table {
         public_port,
         server: server.parse().unwrap(),
     };
-    Table::new(
-        Header::default(),
-        vec![
-            net("section-1", NetKind::UdpRange { start_port: 40_000 }, range, false, 12),
-            net("press", NetKind::Server, press, true, 3),
-        ],
-        vec![
-            mapping(0, 1, 40_001, "172.17.17.1:34379"),
-            mapping(0, 2, 40_002, "172.17.17.2:34379"),
-            mapping(0, 33, 40_033, "172.17.17.33:34379"),
-            mapping(1, 7, 40_200, "172.17.18.7:34379"),
-        ],
-    )
+    let mut mappings = vec![
+        mapping(0, 1, 40_001, "172.17.17.1:34379"),
+        mapping(0, 2, 40_002, "172.17.17.2:34379"),
+        mapping(0, 33, 40_033, "172.17.17.33:34379"),
+        mapping(1, 7, 40_200, "172.17.18.7:34379"),
+    ];
+    match rng.u32(0..6) {
+        0 => drop(mappings.remove(rng.usize(0..4))),
+        1 => mappings[2].server = "172.17.17.34:34379".parse().unwrap(),
+        2 => mappings.rotate_left(1),
+        _ => {}
+    }
+    let section = NetKind::UdpRange { start_port: 40_000 };
+    let nets = vec![
+        net("section-1", section, range, false, rng.u32(4..14)),
+        net("press", NetKind::Server, press, true, 3),
+    ];
+    Table::new(Header::default(), nets, mappings)
+}
+
+fn rules(rng: &mut Rng) -> Rules {
+    let limits = Limits {
+        max_flows: rng.u32(5..15),
+        wrong_password_burst: 2,
+        wrong_password_interval: Duration::from_secs(60),
+    };
+    Rules::new(Arc::new(table(rng)), limits)
 }
 
 impl World {
     fn new(seed: u64) -> Self {
         let mut rng = Rng::with_seed(seed);
         let now = Instant::now();
-        let table = Arc::new(table());
-        let limits = Limits {
-            max_flows: 13,
-            wrong_password_burst: 2,
-            wrong_password_interval: Duration::from_secs(60),
-        };
-        let budget = Arc::new(FlowBudget::new(&table, &limits));
+        let rules = rules(&mut rng);
         let workers = (0..2)
             .map(|_| {
-                let counters = Arc::new(Counters::new(&table));
-                let (table, budget) = (Arc::clone(&table), Arc::clone(&budget));
-                let core =
-                    Core::new(table, &limits, Arc::clone(&counters), budget, now, rng.fork());
+                let counters = Arc::new(Counters::new(&rules.table));
+                let core = Core::new(rules.clone(), Arc::clone(&counters), now, rng.fork());
                 let shell = FakeShell {
                     rng: rng.fork(),
                     limit: 8,
@@ -182,8 +211,8 @@ impl World {
         Self {
             rng,
             now,
-            table,
-            limits,
+            flows_before_reload: vec![0; rules.table.nets().len() + 1],
+            rules,
             workers,
             under_way: Vec::new(),
             users: HashMap::new(),
@@ -202,18 +231,21 @@ impl World {
             80..86 => self.bad_response(),
             86..96 => self.pass_time(1..5_000),
             96..98 => self.pass_time(1_000..200_000),
-            98 => self.under_way.clear(), // the nodes lost power
-            _ => {
-                let limit = self.rng.usize(0..12);
-                self.workers.iter_mut().for_each(|worker| worker.shell.limit = limit);
-            }
+            98 => match self.rng.u32(0..3) {
+                0 => self.under_way.clear(), // the nodes lost power
+                _ => {
+                    let limit = self.rng.usize(0..12);
+                    self.workers.iter_mut().for_each(|worker| worker.shell.limit = limit);
+                }
+            },
+            _ => self.reload(),
         }
         self.check();
     }
 
     fn arrival(&mut self) -> (usize, Arrival) {
         let client: SocketAddr = self.rng.choice(CLIENTS).unwrap().parse().unwrap();
-        let mapping = MappingId(self.rng.u32(0..self.table.mappings().len() as u32));
+        let mapping = MappingId(self.rng.u32(0..self.rules.table.mappings().len() as u32));
         let public_address: IpAddr = self.rng.choice(PUBLIC).unwrap().parse().unwrap();
         // As the kernel does it: a client belongs to one worker.
         let worker = usize::from(client.port() % 2);
@@ -222,13 +254,14 @@ impl World {
     }
 
     fn credential(&mut self, arrival: &Arrival) -> usize {
-        let net = self.table.net(self.table.mapping(arrival.mapping).net);
+        let table = &self.rules.table;
+        let net = table.net(table.mapping(arrival.mapping).net);
         self.rng.usize(0..net.credentials.len())
     }
 
     /// A request in IP format with a number of its own in its data.
     fn datagram(&mut self, arrival: &Arrival, password: &[u8]) -> Vec<u8> {
-        let node = self.table.mapping(arrival.mapping).node_address;
+        let node = self.rules.table.mapping(arrival.mapping).node_address;
         let route = DlRoute::new(&[11, node, 2, 33], &[11, 3, 31]).unwrap().to_route().unwrap();
         self.next_number += 1;
         let mut octets = Header::default().0.to_vec();
@@ -242,7 +275,8 @@ impl World {
     fn good_request(&mut self) {
         let (worker, arrival) = self.arrival();
         let credential = self.credential(&arrival);
-        let net = self.table.net(self.table.mapping(arrival.mapping).net).clone();
+        let table = Arc::clone(&self.rules.table);
+        let net = table.net(table.mapping(arrival.mapping).net);
         let octets = self.datagram(&arrival, net.credentials[credential].password.octets());
         let expect = if net.allows(arrival.client.ip()) {
             Expect::Pass
@@ -255,10 +289,9 @@ impl World {
     fn bad_request(&mut self) {
         let (worker, arrival) = self.arrival();
         let credential = self.credential(&arrival);
-        let password = *self.table.net(self.table.mapping(arrival.mapping).net).credentials
-            [credential]
-            .password
-            .octets();
+        let table = Arc::clone(&self.rules.table);
+        let net = table.net(table.mapping(arrival.mapping).net);
+        let password = *net.credentials[credential].password.octets();
         let mut octets = self.datagram(&arrival, &password);
         let len = octets.len();
         let reason = match self.rng.u32(0..11) {
@@ -321,8 +354,8 @@ impl World {
         expect: Expect,
     ) {
         let Worker { core, shell, .. } = &mut self.workers[worker];
-        let mapping = self.table.mapping(arrival.mapping);
-        let net = self.table.net(mapping.net);
+        let mapping = self.rules.table.mapping(arrival.mapping);
+        let net = self.rules.table.net(mapping.net);
         let mut passed = octets.clone();
         let known = core.flows(self.now).any(|flow| {
             (flow.client, flow.public_address, flow.mapping)
@@ -353,14 +386,14 @@ impl World {
                 }
                 core.sent(arrival.mapping, Direction::Request, passed.len());
                 self.forwarded += 1;
-                let sent = self.now;
                 self.under_way.push(Asked {
                     worker,
-                    arrival,
+                    client: arrival.client,
+                    public_address: arrival.public_address,
+                    public_port: mapping.public_port,
                     to,
-                    sent,
-                    credential,
-                    octets: passed,
+                    sent: self.now,
+                    octets: [octets, passed],
                 });
             }
             (Expect::Pass, Err(reason)) => {
@@ -389,26 +422,25 @@ impl World {
         if self.now - asked.sent >= REST {
             return; // later than any node answers, and than N-9 protects
         }
-        let mut octets = asked.octets.clone();
+        let [as_sent, as_got] = asked.octets;
+        let mut octets = as_got;
         let without_password = self.rng.u32(0..10) == 0;
         if without_password {
             octets.truncate(octets.len() - 8);
         }
-        let net = self.table.net(self.table.mapping(asked.arrival.mapping).net).clone();
+        let len = octets.len();
         match self.response(asked.worker, asked.to.via, asked.to.server, &mut octets) {
             Ok(to) => {
+                let table = &self.rules.table;
+                let mapping = table.mapping(to.mapping);
                 assert_eq!(
-                    (to.client, to.public_address, to.via),
-                    (asked.arrival.client, asked.arrival.public_address, asked.arrival.listener),
-                    "an answer to another client"
+                    (to.client, to.public_address, mapping.public_port, mapping.server),
+                    (asked.client, asked.public_address, asked.public_port, asked.to.server),
+                    "an answer to another client, or from another port"
                 );
-                assert!(!(without_password && net.require_response_password));
-                let head = asked.octets.len() - 8;
-                assert_eq!(octets[..head], asked.octets[..head], "R-8");
-                if !without_password {
-                    let password = net.credentials[asked.credential].password.octets();
-                    assert_eq!(&octets[head..], password);
-                }
+                assert_eq!(to.via.0, to.mapping.0, "the socket of the port");
+                assert!(!(without_password && table.net(mapping.net).require_response_password));
+                assert_eq!(octets, as_sent[..len], "R-8");
                 self.delivered += 1;
             }
             Err(DropReason::UnknownFlow | DropReason::PasswordMismatch) => {}
@@ -421,7 +453,7 @@ impl World {
         let worker = self.rng.usize(0..self.workers.len());
         let ports = &self.workers[worker].shell.ports;
         let Some(&via) = self.rng.choice(ports.keys().collect::<Vec<_>>()) else { return };
-        let server = self.rng.choice(self.table.mappings()).unwrap().server;
+        let server = self.rng.choice(self.rules.table.mappings()).unwrap().server;
         let (_, arrival) = self.arrival();
         let mut octets = self.datagram(&arrival, b"nobody's");
         let (server, reasons): (SocketAddr, &[_]) = match self.rng.u32(0..4) {
@@ -468,13 +500,46 @@ impl World {
         }
     }
 
+    /// The operator brings a new configuration.
+    fn reload(&mut self) {
+        let rules = rules(&mut self.rng);
+        let (old, new) = (&self.rules.table, &rules.table);
+        let listener = |listener: ListenerId| {
+            let port = old.mappings()[listener.0 as usize].public_port;
+            let is = new.mappings().iter().position(|mapping| mapping.public_port == port)?;
+            Some(ListenerId(is as u32))
+        };
+        let now = self.now;
+        for Worker { core, shell, counters } in &mut self.workers {
+            let before: Vec<_> = core.flows(now).map(|flow| lasting(old, &flow)).collect();
+            *counters = core.reload(now, &rules, listener, shell);
+            let after: Vec<_> = core.flows(now).map(|flow| lasting(new, &flow)).collect();
+            for flow in &before {
+                assert_eq!(after.contains(flow), is_good(new, flow), "{flow:?}");
+            }
+            assert!(after.iter().all(|flow| before.contains(flow)), "flows out of nowhere");
+        }
+        self.rules = rules;
+        self.flows_before_reload = self.open_flows();
+    }
+
+    /// Open flows of each net, and of all.
+    fn open_flows(&self) -> Vec<u64> {
+        let open =
+            |net| self.workers.iter().map(|worker| worker.counters.net(net).flows.get()).sum();
+        let mut open: Vec<u64> =
+            (0..self.rules.table.nets().len() as u16).map(|net| open(NetId(net))).collect();
+        open.push(open.iter().sum());
+        open
+    }
+
     fn check(&self) {
-        let mut open = vec![0; self.table.nets().len()];
+        let table = &self.rules.table;
         for Worker { core, counters, shell } in &self.workers {
             core.check_invariants(self.now);
             let flows = core.flows(self.now).count();
             assert_eq!(flows, shell.opened_flows - shell.closed_flows, "N-10");
-            let nodes = (0..self.table.mappings().len() as u32)
+            let nodes = (0..table.mappings().len() as u32)
                 .map(|id| counters.node(MappingId(id)))
                 .chain([&counters.stray]);
             for node in nodes {
@@ -483,15 +548,43 @@ impl World {
                     assert_eq!(direction.received.get(), accounted, "the law of the counters");
                 }
             }
-            for (index, open) in open.iter_mut().enumerate() {
-                *open += counters.net(NetId(index as u16)).flows.get();
-            }
         }
-        for (net, &open) in self.table.nets().iter().zip(&open) {
-            assert!(open <= u64::from(net.max_flows), "N-8: {open} flows in {}", net.name);
+        let limits =
+            table.nets().iter().map(|net| net.max_flows).chain([self.rules.limits.max_flows]);
+        let open = self.open_flows();
+        for ((open, limit), before) in open.iter().zip(limits).zip(&self.flows_before_reload) {
+            assert!(*open <= u64::from(limit).max(*before), "N-8: {open} flows, limit {limit}");
         }
-        assert!(open.iter().sum::<u64>() <= u64::from(self.limits.max_flows), "N-8");
     }
+}
+
+fn lasting(table: &Table, flow: &FlowRecord) -> Lasting {
+    let mapping = table.mapping(flow.mapping);
+    let net = table.net(mapping.net);
+    let credential = &net.credentials[flow.credential.unwrap()];
+    Lasting {
+        client: flow.client,
+        public_address: flow.public_address,
+        net: net.name.clone(),
+        mapping: (mapping.node_address, mapping.public_port, mapping.server),
+        passwords: [&credential.password, credential.at_server()]
+            .map(|password| *password.octets()),
+        upstream_port: flow.upstream_port,
+    }
+}
+
+/// Whether a flow has its mapping, its passwords and its client's address in this table.
+fn is_good(table: &Table, flow: &Lasting) -> bool {
+    table.mappings().iter().any(|mapping| {
+        let net = table.net(mapping.net);
+        let passwords = |credential: &Credential| {
+            [&credential.password, credential.at_server()].map(|password| *password.octets())
+        };
+        (mapping.node_address, mapping.public_port, mapping.server) == flow.mapping
+            && net.name == flow.net
+            && net.allow.iter().any(|network| network.contains(&flow.client.ip()))
+            && net.credentials.iter().any(|credential| passwords(credential) == flow.passwords)
+    })
 }
 
 fn run(seed: u64) -> World {

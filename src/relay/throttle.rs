@@ -34,14 +34,22 @@ struct Offender {
 
 impl Throttle {
     pub(super) fn new(limits: &Limits, start: Instant) -> Self {
-        let interval = nanos(limits.wrong_password_interval);
-        Self {
+        let mut throttle = Self {
             sets: vec![[Offender::default(); WAYS]; SETS].into_boxed_slice(),
             hash: foldhash::fast::RandomState::default(),
             start,
-            interval,
-            bearable: interval.saturating_mul(u64::from(limits.wrong_password_burst).max(1) - 1),
-        }
+            interval: 0,
+            bearable: 0,
+        };
+        throttle.set_limits(limits);
+        throttle
+    }
+
+    /// Goes over to other limits; what sources owe stays.
+    pub(super) fn set_limits(&mut self, limits: &Limits) {
+        self.interval = nanos(limits.wrong_password_interval);
+        let others = u64::from(limits.wrong_password_burst).saturating_sub(1);
+        self.bearable = self.interval.saturating_mul(others);
     }
 
     /// Whether a password from this source is looked at.

@@ -8,7 +8,7 @@
 //! ports, at random (RFC 6056).
 
 use std::collections::{HashMap, VecDeque};
-use std::net::SocketAddr;
+use std::net::{IpAddr, SocketAddr};
 use std::time::{Duration, Instant};
 
 use foldhash::fast::RandomState;
@@ -27,8 +27,17 @@ const PROBES: usize = 8;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct UpstreamId(pub u32);
 
+/// Whose flow a (socket, server) serves: the client and where it sends to. Answers that come late,
+/// to a flow that was closed and opened again, leave from there too.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Owner {
+    pub client: SocketAddr,
+    pub public_address: IpAddr,
+    pub public_port: u16,
+}
+
 /// The upstream sockets of one worker and what each is used for.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub(super) struct Upstreams {
     sockets: Slab<Socket>,
     /// The keys of `sockets`, dense, to pick from.
@@ -38,6 +47,7 @@ pub(super) struct Upstreams {
     /// When the pairs that were given up will have rested, in that order. One that was taken up
     /// again since is still here.
     resting: VecDeque<(Instant, UpstreamId, SocketAddr)>,
+    random: fastrand::Rng,
 }
 
 #[derive(Debug)]
@@ -51,7 +61,7 @@ struct Socket {
 /// A (socket, server) that is in use or rests.
 #[derive(Clone, Copy, Debug)]
 struct Pair {
-    client: SocketAddr,
+    owner: Owner,
     state: PairState,
 }
 
@@ -70,6 +80,17 @@ struct Home {
 }
 
 impl Upstreams {
+    pub(super) fn new(random: fastrand::Rng) -> Self {
+        Self {
+            sockets: Slab::new(),
+            open: Vec::new(),
+            pairs: HashMap::default(),
+            homes: HashMap::default(),
+            resting: VecDeque::new(),
+            random,
+        }
+    }
+
     /// The flow that an answer from `server` on this socket belongs to.
     #[inline]
     pub(super) fn flow(&self, socket: UpstreamId, server: SocketAddr) -> Option<FlowId> {
@@ -79,26 +100,25 @@ impl Upstreams {
         }
     }
 
-    /// Gives a flow a socket on which no other client talks to this server, and tells its port.
+    /// Gives a flow a socket on which nobody else talks to this server, and tells its port.
     /// None when there is no such socket and no other can be opened.
     pub(super) fn assign(
         &mut self,
         flow: FlowId,
-        client: SocketAddr,
+        owner: Owner,
         server: SocketAddr,
-        random: &mut fastrand::Rng,
         shell: &mut impl Shell,
     ) -> Option<(UpstreamId, u16)> {
         let socket = self
-            .home(client, server)
-            .or_else(|| self.probe(client, server, random))
+            .home(owner, server)
+            .or_else(|| self.probe(owner, server))
             .or_else(|| self.open(server, shell))
-            .or_else(|| self.open.iter().copied().find(|&id| self.may_use(id, client, server)))?;
-        let used = Pair { client, state: PairState::Used(flow) };
+            .or_else(|| self.open.iter().copied().find(|&id| self.may_use(id, owner, server)))?;
+        let used = Pair { owner, state: PairState::Used(flow) };
         let place = &mut self.sockets[socket.key()];
         if self.pairs.insert((socket, server), used).is_none() {
             place.pairs += 1;
-            self.homes.entry(client).or_insert(Home { socket, pairs: 0 }).pairs += 1;
+            self.homes.entry(owner.client).or_insert(Home { socket, pairs: 0 }).pairs += 1;
         }
         Some((socket, place.port))
     }
@@ -121,7 +141,7 @@ impl Upstreams {
             let Some(pair) = self.pairs.get(&(socket, server)).copied() else { continue };
             if pair.state == PairState::RestsUntil(end) {
                 self.pairs.remove(&(socket, server));
-                self.leave_home(pair.client);
+                self.leave_home(pair.owner.client);
                 self.leave_socket(socket, shell);
             }
         }
@@ -143,25 +163,24 @@ impl Upstreams {
             assert!(pairs > 0, "a socket that nothing needs is closed");
         }
         for (client, home) in &self.homes {
-            let pairs = self.pairs.values().filter(|pair| pair.client == *client).count();
+            let pairs = self.pairs.values().filter(|pair| pair.owner.client == *client).count();
             assert_eq!(pairs, home.pairs as usize);
         }
     }
 
-    fn home(&self, client: SocketAddr, server: SocketAddr) -> Option<UpstreamId> {
-        let home = self.homes.get(&client)?;
-        self.may_use(home.socket, client, server).then_some(home.socket)
+    fn home(&self, owner: Owner, server: SocketAddr) -> Option<UpstreamId> {
+        let home = self.homes.get(&owner.client)?;
+        self.may_use(home.socket, owner, server).then_some(home.socket)
     }
 
-    fn probe(
-        &self,
-        client: SocketAddr,
-        server: SocketAddr,
-        random: &mut fastrand::Rng,
-    ) -> Option<UpstreamId> {
-        (0..PROBES.min(self.open.len()))
-            .map(|_| self.open[random.usize(..self.open.len())])
-            .find(|&socket| self.may_use(socket, client, server))
+    fn probe(&mut self, owner: Owner, server: SocketAddr) -> Option<UpstreamId> {
+        for _ in 0..PROBES.min(self.open.len()) {
+            let socket = self.open[self.random.usize(..self.open.len())];
+            if self.may_use(socket, owner, server) {
+                return Some(socket);
+            }
+        }
+        None
     }
 
     fn open(&mut self, server: SocketAddr, shell: &mut impl Shell) -> Option<UpstreamId> {
@@ -173,12 +192,12 @@ impl Upstreams {
         Some(socket)
     }
 
-    fn may_use(&self, socket: UpstreamId, client: SocketAddr, server: SocketAddr) -> bool {
+    fn may_use(&self, socket: UpstreamId, owner: Owner, server: SocketAddr) -> bool {
         // A client's home may have been closed, while it still has pairs elsewhere.
         self.sockets.get(socket.key()).is_some_and(|socket| socket.ipv4 == server.is_ipv4())
             && self.pairs.get(&(socket, server)).is_none_or(|pair| {
-                // Its own pair does not have to rest for the client it belonged to.
-                pair.client == client && matches!(pair.state, PairState::RestsUntil(_))
+                // A pair does not have to rest for whom it served.
+                pair.owner == owner && matches!(pair.state, PairState::RestsUntil(_))
             })
     }
 

@@ -1,0 +1,116 @@
+//! A new configuration for a core at work.
+//!
+//! A flow lives on, with its upstream port, when its mapping, its password and its client's address
+//! are still good; otherwise it is closed at once. Counters of nets and nodes that stay go on.
+
+use std::sync::Arc;
+use std::time::Instant;
+
+use super::budget::FlowBudget;
+use super::core::{Core, Shell};
+use super::counters::Counters;
+use super::flow::{Flow, FlowId, ListenerId};
+use super::reason::CloseReason;
+use super::table::{Limits, MappingId, Table};
+
+/// What every worker works from; replaced whole by a new configuration.
+#[derive(Clone, Debug)]
+pub struct Rules {
+    /// The NAT table.
+    pub table: Arc<Table>,
+    /// Bounds of the router as a whole.
+    pub limits: Limits,
+    /// Places for flows, shared by all workers.
+    pub budget: Arc<FlowBudget>,
+}
+
+impl Rules {
+    /// Rules with all places for flows free.
+    pub fn new(table: Arc<Table>, limits: Limits) -> Self {
+        let budget = Arc::new(FlowBudget::new(&table, &limits));
+        Self { table, limits, budget }
+    }
+}
+
+/// Where a flow stands in new rules.
+struct Place {
+    mapping: MappingId,
+    listener: ListenerId,
+    credential: Option<u16>,
+}
+
+impl Core {
+    /// Goes over to new rules and returns the counters that count from here on. `listener` tells
+    /// what an old public socket is called now, if it is still there.
+    pub fn reload(
+        &mut self,
+        now: Instant,
+        rules: &Rules,
+        listener: impl Fn(ListenerId) -> Option<ListenerId>,
+        shell: &mut impl Shell,
+    ) -> Arc<Counters> {
+        let old = &self.rules.table;
+        let place = |flow: &Flow| {
+            let listener = listener(flow.endpoints.listener);
+            place(flow, old, &rules.table, listener.ok_or(CloseReason::MappingRemoved)?)
+        };
+        let places: Vec<_> = self.flows.iter().map(|(key, flow)| (key, place(flow))).collect();
+        for (key, place) in places {
+            match place {
+                Ok(place) => self.move_flow(key, &place, rules),
+                Err(reason) => self.close(key, reason, now, shell),
+            }
+        }
+        let by_endpoints = |(key, flow): (usize, &Flow)| (flow.endpoints, FlowId::new(key));
+        self.by_endpoints = self.flows.iter().map(by_endpoints).collect();
+        self.throttle.set_limits(&rules.limits);
+        self.counters = Arc::new(self.counters.carried_over(&self.rules.table, &rules.table));
+        self.rules = rules.clone();
+        Arc::clone(&self.counters)
+    }
+
+    fn move_flow(&mut self, key: usize, place: &Place, rules: &Rules) {
+        let flow = &mut self.flows[key];
+        self.rules.budget.give(self.rules.table.mapping(flow.mapping).net);
+        // A lower limit closes nothing; it is kept to when flows are opened.
+        rules.budget.take_regardless(rules.table.mapping(place.mapping).net);
+        flow.mapping = place.mapping;
+        flow.endpoints.listener = place.listener;
+        flow.credential = place.credential;
+    }
+}
+
+/// Where a flow stands in a new table, or why it has to go.
+fn place(
+    flow: &Flow,
+    old: &Table,
+    new: &Table,
+    listener: ListenerId,
+) -> Result<Place, CloseReason> {
+    let was = old.mapping(flow.mapping);
+    let is_the_same = |mapping: &MappingId| {
+        let is = new.mapping(*mapping);
+        is.public_port == was.public_port
+            && is.node_address == was.node_address
+            && new.net(is.net).name == old.net(was.net).name
+    };
+    let mapping = new.mapping_of_server(was.server).filter(is_the_same);
+    let mapping = mapping.ok_or(CloseReason::MappingRemoved)?;
+    let net = new.net(new.mapping(mapping).net);
+    if !net.allows(flow.endpoints.client.ip()) {
+        return Err(CloseReason::SourceWithdrawn);
+    }
+    let credential = match flow.credential {
+        None if net.allow_without_password => None,
+        None => return Err(CloseReason::PasswordWithdrawn),
+        Some(index) => {
+            let was = &old.net(was.net).credentials[usize::from(index)];
+            let is = net.credential(was.password.octets()).filter(|&index| {
+                let is = &net.credentials[usize::from(index)];
+                bool::from(is.at_server().matches(was.at_server().octets()))
+            });
+            Some(is.ok_or(CloseReason::PasswordWithdrawn)?)
+        }
+    };
+    Ok(Place { mapping, listener, credential })
+}
