@@ -17,6 +17,9 @@ use super::*;
 
 const RUNS: u64 = 40;
 const STEPS: usize = 4_000;
+const IDLE_TIMEOUT: Duration = Duration::from_secs(150);
+/// N-9.
+const REST: Duration = Duration::from_secs(120);
 
 const CLIENTS: [&str; 10] = [
     "198.51.100.1:1000",
@@ -139,7 +142,7 @@ fn table(rng: &mut Rng) -> Table {
         credentials,
         allow_without_password: false,
         require_response_password,
-        idle_timeout: Duration::from_secs(150),
+        idle_timeout: IDLE_TIMEOUT,
         max_flows,
     };
     let mut range = vec![
@@ -401,6 +404,13 @@ impl World {
                     [DropReason::FlowLimit, DropReason::UpstreamExhausted, DropReason::Throttled];
                 assert!(want_of_room.contains(&reason), "{reason:?}");
                 assert!(!known, "N-8: an open flow is served whatever is full, not {reason:?}");
+                let open = self.open_flows();
+                let full = open[usize::from(mapping.net.0)] >= u64::from(net.max_flows)
+                    || open[open.len() - 1] >= u64::from(self.rules.limits.max_flows);
+                assert!(full || reason != DropReason::FlowLimit, "{open:?}");
+                let shell = &self.workers[worker].shell;
+                let sockets_left = shell.ports.len() < shell.limit;
+                assert!(!(sockets_left && reason == DropReason::UpstreamExhausted));
             }
             (Expect::Drop(expected), Err(reason)) => {
                 let before = [DropReason::SourceNotAllowed, DropReason::Throttled];
@@ -495,8 +505,17 @@ impl World {
 
     fn pass_time(&mut self, milliseconds: std::ops::Range<u64>) {
         self.now += Duration::from_millis(self.rng.u64(milliseconds));
-        for Worker { core, shell, .. } in &mut self.workers {
+        for (index, Worker { core, shell, .. }) in self.workers.iter_mut().enumerate() {
+            let table = &self.rules.table;
+            let idle = |flow: &FlowRecord| {
+                let server = table.mapping(flow.mapping).server;
+                self.now - self.users[&(index, flow.upstream_port, server)].1
+            };
+            let lively = |flow: &FlowRecord| idle(flow) < IDLE_TIMEOUT;
+            let expected = core.flows(self.now).filter(lively).count();
             core.expire(self.now, shell);
+            assert!(core.flows(self.now).all(|flow| lively(&flow)), "N-2: idle for too long");
+            assert_eq!(core.flows(self.now).count(), expected, "N-2, N-3: closed too early");
         }
     }
 
