@@ -27,4 +27,4 @@ pub use reason::{CloseReason, Direction, DropReason};
 pub use reload::Rules;
 pub use sketch::SourceSketch;
 pub use table::{Credential, Limits, Mapping, MappingId, Net, NetId, NetKind, Table};
-pub use upstream::{REST, UpstreamId};
+pub use upstream::UpstreamId;

@@ -18,7 +18,7 @@ use super::core::Shell;
 use super::flow::FlowId;
 
 /// How long a pair that a flow gave up is kept from other clients.
-pub const REST: Duration = Duration::from_secs(120);
+const REST: Duration = Duration::from_secs(120);
 
 /// How many open sockets are tried at random before another is opened.
 const PROBES: usize = 8;
