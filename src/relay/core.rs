@@ -253,11 +253,10 @@ impl Core {
         // address cannot lock the client out.
         let endpoints = arrival.endpoints();
         let open = self.by_endpoints.get(&endpoints).copied();
-        let source = arrival.client.ip();
-        if open.is_none() && !net.allows(source) {
+        if open.is_none() && !net.allows(arrival.client.ip()) {
             return Err(DropReason::SourceNotAllowed);
         }
-        if open.is_none() && !self.throttle.admits(now, source) {
+        if open.is_none() && !self.throttle.admits(now, arrival.client) {
             return Err(DropReason::Throttled);
         }
         let credential = match request.password {
@@ -266,7 +265,7 @@ impl Core {
                 let credential = net.credential(&password);
                 if credential.is_none() {
                     if open.is_none() {
-                        self.throttle.wrong_password(now, source);
+                        self.throttle.wrong_password(now, arrival.client);
                     }
                     return Err(DropReason::PasswordWrong);
                 }

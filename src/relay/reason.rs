@@ -52,7 +52,7 @@ pub enum DropReason {
     PasswordWrong,
     /// The client's address is in none of the net's allowed networks.
     SourceNotAllowed,
-    /// The source sent too many wrong passwords and is not listened to for a while.
+    /// The sender, or its address, sent too many wrong passwords and is not listened to for a while.
     Throttled,
     /// The node address in the route is not the one of the public port.
     NodeMismatch,
@@ -179,7 +179,7 @@ impl DropReason {
                 "The source address is in none of the net's `allow` networks. A client's address may have changed."
             }
             Self::Throttled => {
-                "The source sent too many wrong passwords; see `[limits]`. Correct the password and wait."
+                "The sender, or its address, sent too many wrong passwords; see `[limits]`. Correct the password and wait."
             }
             Self::NodeMismatch => {
                 "The route's node address is not the public port's: the client's start port or node address is off."

@@ -108,9 +108,10 @@ pub struct Mapping {
 pub struct Limits {
     /// Flows that may be open at once, over all nets.
     pub max_flows: u32,
-    /// Wrong passwords that a source may send before it is throttled.
+    /// Wrong passwords that an address and port may send before it is throttled. An address as a
+    /// whole (of IPv6, its /64) may send 512 times as many.
     pub wrong_password_burst: u16,
-    /// One wrong password of a source is forgiven in each such interval.
+    /// One wrong password is forgiven in each such interval; of an address as a whole, 512.
     pub wrong_password_interval: Duration,
 }
 

@@ -1,79 +1,96 @@
 //! Who sent wrong passwords lately.
 //!
-//! A table of fixed size: a stranger with a million addresses cannot make it grow, and honest
-//! sources are not in it, so there is nothing of theirs to push out. To be pushed out is to be
-//! forgiven early, and the lightest offender of its set goes first.
+//! Two token buckets judge a sender: one of its address and port, and a wider one of its address (an
+//! IPv4 address or an IPv6 /64), so that one guesser behind a shared address does not shut out his
+//! neighbours at once. The table has a fixed size: a stranger with a million addresses cannot make
+//! it grow, and honest senders are not in it, so there is nothing of theirs to push out. To be
+//! pushed out is to be forgiven early, and the lightest offender of its set goes first.
 
 use std::hash::{BuildHasher, Hasher};
-use std::net::IpAddr;
+use std::net::{IpAddr, SocketAddr};
 use std::time::{Duration, Instant};
 
 use super::table::Limits;
 
 const SETS: usize = 1024;
 const WAYS: usize = 4;
+/// An address may send as many wrong passwords as so many of its ports, in the same time.
+const PORTS_OF_AN_ADDRESS: u64 = 512;
 
-/// A token bucket for each source (an IPv4 address or an IPv6 /64) that sent a wrong password.
+/// The buckets of those who sent a wrong password.
 #[derive(Debug)]
 pub(super) struct Throttle {
     sets: Box<[[Offender; WAYS]]>,
     hash: foldhash::fast::RandomState,
     start: Instant,
-    interval: u64,
-    /// What may be owed at most when one more wrong password is still bearable.
-    bearable: u64,
+    port: Rate,
+    address: Rate,
 }
 
 #[derive(Clone, Copy, Debug, Default)]
 struct Offender {
-    source: u64,
+    key: u64,
     /// When all its wrong passwords will be forgiven, in nanoseconds since `start`; in the past,
     /// the place is free.
     forgiven_at: u64,
 }
 
+/// How a bucket fills and drains, in nanoseconds.
+#[derive(Clone, Copy, Debug)]
+struct Rate {
+    /// What a wrong password costs.
+    interval: u64,
+    /// What may be owed at most when one more wrong password is still bearable.
+    bearable: u64,
+}
+
 impl Throttle {
     pub(super) fn new(limits: &Limits, start: Instant) -> Self {
-        let mut throttle = Self {
+        Self {
             sets: vec![[Offender::default(); WAYS]; SETS].into_boxed_slice(),
             hash: foldhash::fast::RandomState::default(),
             start,
-            interval: 0,
-            bearable: 0,
-        };
-        throttle.set_limits(limits);
-        throttle
+            port: Rate::of(limits, 1),
+            address: Rate::of(limits, PORTS_OF_AN_ADDRESS),
+        }
     }
 
-    /// Goes over to other limits; what sources owe stays.
+    /// Goes over to other limits; what senders owe stays.
     pub(super) fn set_limits(&mut self, limits: &Limits) {
-        self.interval = nanos(limits.wrong_password_interval);
-        let others = u64::from(limits.wrong_password_burst).saturating_sub(1);
-        self.bearable = self.interval.saturating_mul(others);
+        self.port = Rate::of(limits, 1);
+        self.address = Rate::of(limits, PORTS_OF_AN_ADDRESS);
     }
 
-    /// Whether a password from this source is looked at.
+    /// Whether a password from this sender is looked at.
     #[inline]
-    pub(super) fn admits(&self, now: Instant, source: IpAddr) -> bool {
-        let (source, now) = (self.source(source), self.since_start(now));
-        self.sets[set(source)].iter().all(|offender| {
-            offender.source != source || offender.forgiven_at.saturating_sub(now) <= self.bearable
-        })
+    pub(super) fn admits(&self, now: Instant, sender: SocketAddr) -> bool {
+        let now = self.since_start(now);
+        let bears = |key: u64, rate: Rate| {
+            self.sets[set(key)].iter().all(|offender| {
+                offender.key != key || offender.forgiven_at.saturating_sub(now) <= rate.bearable
+            })
+        };
+        bears(self.address_key(sender), self.address) && bears(self.port_key(sender), self.port)
     }
 
-    /// Notes a wrong password from this source.
-    pub(super) fn wrong_password(&mut self, now: Instant, source: IpAddr) {
-        let (source, now) = (self.source(source), self.since_start(now));
-        let ways = &mut self.sets[set(source)];
-        let known = ways.iter().position(|offender| offender.source == source);
+    /// Notes a wrong password of this sender.
+    pub(super) fn wrong_password(&mut self, now: Instant, sender: SocketAddr) {
+        let now = self.since_start(now);
+        self.charge(now, self.address_key(sender), self.address);
+        self.charge(now, self.port_key(sender), self.port);
+    }
+
+    fn charge(&mut self, now: u64, key: u64, rate: Rate) {
+        let ways = &mut self.sets[set(key)];
+        let known = ways.iter().position(|offender| offender.key == key);
         let way = known.unwrap_or_else(|| lightest(ways));
         let owed = if known.is_some() { ways[way].forgiven_at.max(now) } else { now };
-        ways[way] = Offender { source, forgiven_at: owed.saturating_add(self.interval) };
+        ways[way] = Offender { key, forgiven_at: owed.saturating_add(rate.interval) };
     }
 
-    fn source(&self, source: IpAddr) -> u64 {
+    fn address_key(&self, sender: SocketAddr) -> u64 {
         let mut hasher = self.hash.build_hasher();
-        match source.to_canonical() {
+        match sender.ip().to_canonical() {
             IpAddr::V4(address) => hasher.write_u32(address.to_bits()),
             // A subscriber owns a /64 at least.
             IpAddr::V6(address) => hasher.write_u64((address.to_bits() >> 64) as u64),
@@ -81,13 +98,25 @@ impl Throttle {
         hasher.finish().max(1)
     }
 
+    fn port_key(&self, sender: SocketAddr) -> u64 {
+        self.hash.hash_one((sender.ip().to_canonical(), sender.port())).max(1)
+    }
+
     fn since_start(&self, now: Instant) -> u64 {
         nanos(now.saturating_duration_since(self.start))
     }
 }
 
-fn set(source: u64) -> usize {
-    (source >> 32) as usize % SETS
+impl Rate {
+    fn of(limits: &Limits, share: u64) -> Self {
+        let burst = u64::from(limits.wrong_password_burst) * share;
+        let interval = nanos(limits.wrong_password_interval) / share;
+        Self { interval, bearable: interval.saturating_mul(burst.saturating_sub(1)) }
+    }
+}
+
+fn set(key: u64) -> usize {
+    (key >> 32) as usize % SETS
 }
 
 fn lightest(ways: &[Offender; WAYS]) -> usize {
@@ -116,8 +145,8 @@ mod tests {
         Throttle::new(&limits, start)
     }
 
-    fn v4(last: u32) -> IpAddr {
-        Ipv4Addr::from_bits(0xc633_6400 + last).into()
+    fn v4(last: u32, port: u16) -> SocketAddr {
+        (Ipv4Addr::from_bits(0xc633_6400 + last), port).into()
     }
 
     #[test]
@@ -125,41 +154,57 @@ mod tests {
         let start = Instant::now();
         let mut throttle = throttle(start);
         for _ in 0..3 {
-            assert!(throttle.admits(start, v4(1)));
-            throttle.wrong_password(start, v4(1));
+            assert!(throttle.admits(start, v4(1, 7)));
+            throttle.wrong_password(start, v4(1, 7));
         }
-        assert!(!throttle.admits(start, v4(1)));
-        assert!(throttle.admits(start, v4(2)), "another source is not concerned");
-        assert!(!throttle.admits(start, v4(1).to_canonical()));
+        assert!(!throttle.admits(start, v4(1, 7)));
+        assert!(throttle.admits(start, v4(1, 8)), "another port is not concerned yet");
+        assert!(throttle.admits(start, v4(2, 7)), "another address is not concerned");
         let mapped = Ipv4Addr::from_bits(0xc633_6401).to_ipv6_mapped();
-        assert!(!throttle.admits(start, mapped.into()), "the same source over an IPv6 socket");
+        assert!(!throttle.admits(start, (mapped, 7).into()), "the same sender over IPv6");
         let later = start + 6 * SECOND;
-        assert!(!throttle.admits(later - Duration::from_nanos(1), v4(1)));
-        assert!(throttle.admits(later, v4(1)));
-        throttle.wrong_password(later, v4(1));
-        assert!(!throttle.admits(later, v4(1)));
-        assert!(throttle.admits(later + 60 * SECOND, v4(1)));
+        assert!(!throttle.admits(later - Duration::from_nanos(1), v4(1, 7)));
+        assert!(throttle.admits(later, v4(1, 7)));
+        throttle.wrong_password(later, v4(1, 7));
+        assert!(!throttle.admits(later, v4(1, 7)));
+        assert!(throttle.admits(later + 60 * SECOND, v4(1, 7)));
     }
 
     #[test]
-    fn an_ipv6_source_is_its_64_bit_prefix() {
+    fn an_address_is_throttled_whatever_port_it_takes() {
         let start = Instant::now();
         let mut throttle = throttle(start);
-        let host =
-            |prefix, host| IpAddr::from(Ipv6Addr::new(0x2001, 0xdb8, 0, prefix, 0, 0, 0, host));
-        (1..=3).for_each(|n| throttle.wrong_password(start, host(7, n)));
-        assert!(!throttle.admits(start, host(7, 99)));
+        let wrong = (1000..).take_while(|&port| {
+            let admitted = throttle.admits(start, v4(1, port));
+            throttle.wrong_password(start, v4(1, port));
+            admitted
+        });
+        assert_eq!(wrong.count(), 3 * 512);
+        assert!(!throttle.admits(start, v4(1, 7)));
+        assert!(throttle.admits(start, v4(2, 7)), "another address is not concerned");
+        assert!(throttle.admits(start + SECOND, v4(1, 7)), "forgiven 512 times as fast");
+    }
+
+    #[test]
+    fn an_ipv6_address_is_its_64_bit_prefix() {
+        let start = Instant::now();
+        let mut throttle = throttle(start);
+        let host = |prefix, host| {
+            SocketAddr::from((Ipv6Addr::new(0x2001, 0xdb8, 0, prefix, 0, 0, 0, host), 1))
+        };
+        (0..3 * 512).for_each(|n| throttle.wrong_password(start, host(7, n)));
+        assert!(!throttle.admits(start, host(7, 9999)));
         assert!(throttle.admits(start, host(8, 1)));
     }
 
     #[test]
-    fn a_million_sources_do_not_push_out_a_heavy_offender() {
+    fn a_million_senders_do_not_push_out_a_heavy_offender() {
         let start = Instant::now();
         let mut throttle = throttle(start);
-        (0..3).for_each(|_| throttle.wrong_password(start, v4(1)));
+        (0..3).for_each(|_| throttle.wrong_password(start, v4(1, 7)));
         for n in 0..1_000_000 {
-            throttle.wrong_password(start, Ipv4Addr::from_bits(0x0a00_0000 + n).into());
+            throttle.wrong_password(start, (Ipv4Addr::from_bits(0x0a00_0000 + n), 7).into());
         }
-        assert!(!throttle.admits(start, v4(1)));
+        assert!(!throttle.admits(start, v4(1, 7)));
     }
 }
