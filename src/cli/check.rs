@@ -13,13 +13,14 @@ use super::{BAD_USE, complain};
 use crate::config::{self, Config};
 use crate::relay::{Mapping, Net, NetKind};
 
-/// What `pnet-nat check` is asked.
+/// Find every fault of a configuration, or show the NAT table and the clients' IPNetTable rows.
 #[derive(Debug, clap::Args)]
+#[command(after_help = "Example:  pnet-nat check --config /etc/pnet-nat/pnet-nat.toml")]
 pub(super) struct Args {
-    /// Configuration file
+    /// The configuration; config/pnet-nat.toml explains every key.
     #[arg(long, value_name = "FILE", env = "PNET_NAT_CONFIG")]
     config: PathBuf,
-    /// One line for each node, instead of one for each run of consecutive nodes
+    /// One line for each node, instead of one for each run of consecutive nodes.
     #[arg(long, env = "PNET_NAT_FULL")]
     full: bool,
 }

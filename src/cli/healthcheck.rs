@@ -6,10 +6,11 @@ use std::time::Duration;
 
 use ureq::Agent;
 
-/// Exit 0 when the relay is ready, 1 and a line that says why when it is not.
+/// Ask a running relay whether it is ready: exit 0 when it is, else 1 and a line that says why.
 #[derive(Debug, clap::Args)]
+#[command(after_help = "Example:  pnet-nat healthcheck --url http://127.0.0.1:9378/-/ready")]
 pub(super) struct Args {
-    /// What to ask.
+    /// What to ask; host and port are those of [admin] listen.
     #[arg(
         long,
         env = "PNET_NAT_HEALTHCHECK_URL",
@@ -22,7 +23,7 @@ pub(super) struct Args {
     #[arg(
         long,
         env = "PNET_NAT_HEALTHCHECK_TIMEOUT",
-        value_name = "DURATION",
+        value_name = "TIME",
         default_value = "3s",
         value_parser = humantime::parse_duration
     )]

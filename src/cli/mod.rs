@@ -28,11 +28,26 @@ use crate::wire::Password;
 #[command(after_help = "Try it with nothing set up:  pnet-nat demo\n\
     Exit codes: 0 done, 1 failed at run time, 2 bad command line or configuration.")]
 struct Cli {
-    /// How log lines are written to stderr; auto is text on a terminal and JSON elsewhere.
-    #[arg(long, global = true, env = "PNET_NAT_LOG_FORMAT", value_enum, default_value_t)]
+    /// How log lines are written to stderr: text, json, or auto: text on a terminal, else JSON.
+    #[arg(
+        long,
+        global = true,
+        env = "PNET_NAT_LOG_FORMAT",
+        value_name = "FORMAT",
+        value_enum,
+        default_value_t,
+        hide_possible_values = true,
+        help_heading = LOGGING
+    )]
     log_format: LogFormat,
-    /// What is logged: error, warn, info, debug or trace [default: info for run, warn elsewhere]
-    #[arg(long, global = true, env = "PNET_NAT_LOG_LEVEL", value_name = "LEVEL")]
+    /// What is logged: error, warn, info, debug or trace [default: info for run, warn elsewhere].
+    #[arg(
+        long,
+        global = true,
+        env = "PNET_NAT_LOG_LEVEL",
+        value_name = "LEVEL",
+        help_heading = LOGGING
+    )]
     log_level: Option<Level>,
     #[command(subcommand)]
     command: Command,
@@ -50,6 +65,9 @@ enum Command {
 
 /// Bad command line or configuration.
 const BAD_USE: u8 = 2;
+
+/// Heading of the options that every command has.
+const LOGGING: &str = "Logging";
 
 /// Runs the program.
 pub fn main() -> ExitCode {

@@ -17,11 +17,15 @@ use crate::config::NodeRange;
 use crate::peer::{NodeSettings, ServerNode, echo};
 use crate::wire::{Header, Password};
 
-/// Simulated P-NET server nodes that send back the data of each request
+/// Run simulated P-NET server nodes that send back the data of each request.
 #[derive(Debug, clap::Args)]
+#[command(
+    after_help = "Example:  pnet-nat node --listen 127.17.17.1-4 --password-file secrets/section-1\n\
+    Every 127.x.x.x address is this machine's own, so the example needs no set-up."
+)]
 pub(super) struct Args {
-    /// Address of a node, or a range of them: 172.17.17.1, 127.17.17.1-4. The last number is the
-    /// node address
+    /// Addresses of the nodes, separated by commas: 172.17.17.1 or 127.17.17.1-4; the last number
+    /// is the node address.
     #[arg(
         long,
         required = true,
@@ -31,15 +35,15 @@ pub(super) struct Args {
     )]
     listen: Vec<AddressRange>,
 
-    /// UDP port that asks for the password
+    /// UDP port that asks for the password.
     #[arg(long, value_name = "PORT", default_value_t = 34379, env = "PNET_NAT_SECURE_PORT")]
     secure_port: u16,
 
-    /// UDP port that asks for no password
+    /// UDP port that asks for no password.
     #[arg(long, value_name = "PORT", default_value_t = 34378, env = "PNET_NAT_NORMAL_PORT")]
     normal_port: u16,
 
-    /// File that holds the password: 8 octets, readable by its owner only
+    /// File with exactly the 8 octets of the password, closed to others (mode 600).
     #[arg(
         long,
         value_name = "FILE",
@@ -48,7 +52,7 @@ pub(super) struct Args {
     )]
     password_file: Password,
 
-    /// How long a node works on each request
+    /// How long a node works on each request: 0s, 20ms.
     #[arg(
         long,
         value_name = "TIME",

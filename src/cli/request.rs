@@ -17,14 +17,19 @@ use crate::config::NodeRange;
 use crate::peer::{Answer, Client, ExchangeError, Request, Target};
 use crate::wire::Password;
 
-/// Ask server nodes behind a NAT router
+/// Ask server nodes behind a NAT router, as a remote client does.
 #[derive(Debug, clap::Args)]
+#[command(
+    after_help = "Example:  pnet-nat request --to 192.0.2.1 --start-port 40000 --node 1-4 \\\n\
+    \x20                          --password-file secrets/section-1\n\
+    Each request carries its number; a simulated node sends it back. Exit 1 when nothing came."
+)]
 pub(super) struct Args {
-    /// Public address of the NAT router
+    /// Public address of the NAT router.
     #[arg(long, value_name = "ADDRESS", env = "PNET_NAT_TO")]
     to: IpAddr,
 
-    /// Public port = start port + node address
+    /// Start port of the plant section: public port = start port + node address.
     #[arg(
         long,
         value_name = "PORT",
@@ -33,7 +38,7 @@ pub(super) struct Args {
     )]
     start_port: u16,
 
-    /// Node address, or a range of them: 4, 1-4
+    /// Node addresses, separated by commas: 4 or 1-4.
     #[arg(
         long,
         required = true,
@@ -43,7 +48,7 @@ pub(super) struct Args {
     )]
     node: Vec<NodeRange>,
 
-    /// File that holds the password: 8 octets, readable by its owner only
+    /// File with exactly the 8 octets of the password, closed to others (mode 600).
     #[arg(
         long,
         value_name = "FILE",
@@ -52,11 +57,11 @@ pub(super) struct Args {
     )]
     password_file: Password,
 
-    /// Requests to each node
+    /// Requests to each node.
     #[arg(long, value_name = "N", default_value = "1", env = "PNET_NAT_COUNT")]
     count: NonZeroU32,
 
-    /// Time from one round of requests to the next
+    /// Time from one round of requests to the next.
     #[arg(
         long,
         value_name = "TIME",
@@ -66,7 +71,7 @@ pub(super) struct Args {
     )]
     interval: Duration,
 
-    /// How long to wait for each answer
+    /// How long to wait for each answer.
     #[arg(
         long,
         value_name = "TIME",
@@ -76,7 +81,7 @@ pub(super) struct Args {
     )]
     timeout: Duration,
 
-    /// What is printed: lines for people, or one JSON object a line
+    /// What is printed: lines for people, or one JSON object a line.
     #[arg(long, value_enum, default_value_t = Format::Text, env = "PNET_NAT_FORMAT")]
     format: Format,
 }

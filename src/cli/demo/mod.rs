@@ -31,10 +31,12 @@ use traffic::Traffic;
 /// The admin server listens here when it can, and on any free port otherwise.
 const ADMIN: &str = "127.0.0.1:9378";
 
-/// Four simulated server nodes, the relay, a remote client and a stranger, all on loopback
+/// Show four simulated server nodes, the relay, a remote client and a stranger, all on loopback.
 #[derive(Debug, clap::Args)]
+#[command(after_help = "Example:  pnet-nat demo --seconds 10\n\
+    With --seconds or at Ctrl-C it sums up, and exits 0 only if every answer was right.")]
 pub(super) struct Args {
-    /// End after this many seconds; otherwise at Ctrl-C
+    /// End after this many seconds; without it, at Ctrl-C.
     #[arg(
         long,
         value_name = "N",

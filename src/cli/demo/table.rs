@@ -1,7 +1,8 @@
 //! How the demo looks: on a terminal a table that is redrawn in place, elsewhere a line a second,
 //! and a summary in the end.
 //!
-//! Invariant: no line is longer than 80 columns, or redrawing would leave pieces behind.
+//! Invariant: no line of the live table wraps, or redrawing would leave pieces behind. On 80
+//! columns nothing of it is cut off.
 
 use std::env;
 use std::fmt::Write as _;
@@ -46,13 +47,24 @@ impl Display {
 
     /// Shows the figures of the moment.
     pub(super) fn show(&mut self, figures: &Figures) -> io::Result<()> {
-        if self.live { self.redraw(figures) } else { writeln!(stdout(), "{}", line(figures)) }
+        if !self.live {
+            return writeln!(stdout(), "{}", line(figures));
+        }
+        // A wrapped line would count twice: what a narrow terminal has no room for is cut off.
+        write!(stdout(), "\x1b[?7l")?;
+        self.redraw(figures)?;
+        write!(stdout(), "\x1b[?7h")?;
+        stdout().flush()
     }
 
     /// Shows the last figures, and what is wrong with them.
     pub(super) fn close(&mut self, figures: &Figures, faults: &[String]) -> io::Result<()> {
+        if !self.live {
+            writeln!(stdout())?;
+        }
         self.redraw(figures)?;
         let mut out = stdout().lock();
+        writeln!(out)?;
         for fault in faults {
             writeln!(out, "{} {fault}", self.paint.red("✗"))?;
         }
@@ -166,7 +178,7 @@ fn strangers(figures: &Figures, paint: Paint) -> String {
     let count = answered.to_string();
     let answered = if answered == 0 { paint.green(&count) } else { paint.red(&count) };
     let mut text = format!(
-        "stranger: {wrong_passwords} wrong passwords, {garbage} of garbage; answered: {answered}\n"
+        "stranger: {wrong_passwords} wrong passwords, {garbage} times garbage; answered: {answered}\n"
     );
     for reasons in figures.dropped.chunks(3) {
         text += " ";

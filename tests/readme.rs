@@ -1,0 +1,93 @@
+//! README.md keeps up with the code: its drop reasons, its metrics, its configuration.
+
+use std::collections::BTreeSet;
+use std::fmt::Write;
+use std::fs::{self, Permissions};
+use std::net::UdpSocket;
+use std::os::unix::fs::PermissionsExt;
+use std::sync::Arc;
+
+use pnet_nat::config::{self, Config, Warning};
+use pnet_nat::metrics::Metrics;
+use pnet_nat::net::Router;
+use pnet_nat::relay::DropReason;
+
+const README: &str = include_str!("../README.md");
+
+#[test]
+fn the_drop_reasons_are_those_of_the_code() {
+    let right = drop_reasons();
+    assert!(
+        README.contains(&format!("\n\n{right}\n")),
+        "the table under \"Why a datagram was dropped\" has to be:\n\n{right}"
+    );
+}
+
+#[test]
+fn every_metric_is_described_and_no_other() {
+    let scrape: String = Metrics::new(Arc::new(router())).chunks().collect();
+    let exposed = scrape.lines().filter_map(|line| line.strip_prefix("# TYPE "));
+    let exposed = exposed.filter_map(|line| line.split(' ').next());
+    let exposed: BTreeSet<_> = exposed.filter(|name| name.starts_with("pnet_nat_")).collect();
+    let rows = README.lines().filter_map(|line| line.strip_prefix("| `"));
+    let described = rows.filter_map(|row| row.split('`').next());
+    let described: BTreeSet<_> = described.filter(|name| name.starts_with("pnet_nat_")).collect();
+    assert_eq!(described, exposed);
+
+    let words = README.split(|c: char| c != '_' && !c.is_ascii_alphanumeric());
+    for name in words.filter(|word| word.starts_with("pnet_nat_")) {
+        let family = name.strip_suffix("_bucket").unwrap_or(name);
+        assert!(exposed.contains(family), "there is no metric {name}");
+    }
+}
+
+#[test]
+fn the_configuration_is_sound() {
+    let (config, warnings) = read(configuration());
+    assert_eq!(config.table.mappings().len(), 4);
+    assert_eq!(warnings, []);
+}
+
+fn drop_reasons() -> String {
+    let mut table =
+        "| reason | direction | what it means, what to do |\n|---|---|---|\n".to_owned();
+    let (requests, responses) = (DropReason::REQUEST, DropReason::RESPONSE);
+    let of_responses_alone = responses.iter().filter(|reason| !requests.contains(reason));
+    for reason in requests.iter().chain(of_responses_alone) {
+        let direction = match (requests.contains(reason), responses.contains(reason)) {
+            (true, true) => "both",
+            (true, false) => "request",
+            _ => "response",
+        };
+        let (label, explanation) = (reason.label(), reason.explanation());
+        writeln!(table, "| `{label}` | {direction} | {explanation} |").unwrap();
+    }
+    table
+}
+
+/// README's configuration.
+fn configuration() -> &'static str {
+    let (_, rest) = README.split_once("```toml\n").unwrap();
+    rest.split_once("```").unwrap().0
+}
+
+/// Reads a configuration as if it stood beside the password file that README has the reader make.
+fn read(configuration: &str) -> (Config, Vec<Warning>) {
+    let folder = tempfile::tempdir().unwrap();
+    let password = folder.path().join("secrets/section-1");
+    fs::create_dir(password.parent().unwrap()).unwrap();
+    fs::write(&password, "Pa55word").unwrap();
+    fs::set_permissions(&password, Permissions::from_mode(0o600)).unwrap();
+    config::parse(configuration, &folder.path().join("pnet-nat.toml"))
+        .unwrap_or_else(|faults| panic!("{faults}"))
+}
+
+/// README's configuration, at work on a free port.
+fn router() -> Router {
+    let free = UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+    let configuration = configuration()
+        .replace("0.0.0.0", "127.0.0.1")
+        .replace("start_port = 40000", &format!("start_port = {}", free - 1))
+        .replace("\"1-4\"", "1");
+    Router::start(read(&configuration).0).unwrap()
+}
