@@ -8,6 +8,7 @@ mod bad_input;
 mod commands;
 mod drops;
 mod harness;
+mod namespaces;
 mod relaying;
 mod scale;
 mod stopping;

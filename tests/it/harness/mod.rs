@@ -4,7 +4,9 @@
 //! Whatever is waited for is polled, with one patience for all. Invariant: what was started ends
 //! with its owner, also when the test fails.
 
+mod capture;
 mod metrics;
+mod network;
 mod octets;
 mod process;
 mod relay;
@@ -12,7 +14,9 @@ mod site;
 
 use std::time::{Duration, Instant};
 
+pub(crate) use capture::{Capture, Packet};
 pub(crate) use metrics::Metrics;
+pub(crate) use network::Network;
 pub(crate) use octets::{
     DEVICE, FIGURE_10, PASSWORD, PASSWORDS, SECOND, WRONG, datagram, request, response,
 };
