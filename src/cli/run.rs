@@ -65,7 +65,7 @@ fn bind_admin(address: SocketAddr) -> anyhow::Result<StdListener> {
 
 fn relay(router: Arc<Router>, admin: Option<StdListener>) -> anyhow::Result<ExitCode> {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
-    runtime.block_on(async {
+    let outcome = runtime.block_on(async {
         let mut signals = Signals::new()?;
         let mut noise = Noise::new(Arc::clone(&router));
         let stopped = Arc::new(Notify::new());
@@ -100,7 +100,10 @@ fn relay(router: Arc<Router>, admin: Option<StdListener>) -> anyhow::Result<Exit
         }
         tracing::info!("stopped");
         Ok(ExitCode::SUCCESS)
-    })
+    });
+    // After a second signal the router still drains on a thread of the runtime: leave it there.
+    runtime.shutdown_background();
+    outcome
 }
 
 fn announce(router: &Router) {

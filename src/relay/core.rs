@@ -23,8 +23,8 @@ use super::table::MappingId;
 use super::throttle::Throttle;
 use super::upstream::{Owner, UpstreamId, Upstreams};
 
-/// A request that waited unanswered for longer is taken as lost: the response time of the next
-/// answer counts from the request after it.
+/// A request that waited unanswered for longer is taken as lost: no answer is due any more, and the
+/// response time of the next one counts from the request after it.
 const LOST_AFTER: Duration = Duration::from_secs(10);
 
 /// The same for all workers, whose sketches are merged. A stranger who makes sources collide only
@@ -199,8 +199,8 @@ impl Core {
 
     /// Whether a request has no answer yet that may still come.
     pub fn awaits_answers(&self, now: Instant) -> bool {
-        let due = |since: Instant| now.saturating_duration_since(since) < LOST_AFTER;
-        self.flows.iter().any(|(_, flow)| flow.unanswered.is_some_and(due))
+        let fresh = |flow: &Flow| now.saturating_duration_since(flow.last_used) < LOST_AFTER;
+        self.flows.iter().any(|(_, flow)| flow.due > 0 && fresh(flow))
     }
 
     /// Whether no flow is open and no socket waits to be closed, so that nothing will expire.
@@ -279,6 +279,8 @@ impl Core {
             None => self.open(now, arrival, credential, shell)?,
         };
         let flow = &mut self.flows[id.key()];
+        let due = if now - flow.last_used < LOST_AFTER { flow.due } else { 0 };
+        flow.due = due.saturating_add(1);
         flow.last_used = now;
         flow.credential = credential;
         flow.unanswered = flow.unanswered.filter(|&since| now - since < LOST_AFTER).or(Some(now));
@@ -319,6 +321,7 @@ impl Core {
             (None, _) => {}
         }
         flow.last_used = now; // N-3
+        flow.due = flow.due.saturating_sub(1);
         let node = self.counters.node(flow.mapping);
         node.last_response.set(since(self.start, now));
         if let Some(asked) = flow.unanswered.take() {
@@ -364,6 +367,7 @@ impl Core {
             opened: now,
             last_used: now,
             unanswered: None,
+            due: 0,
         });
         shell.flow_opened(&flow.record(now));
         self.by_endpoints.insert(flow.endpoints, id);

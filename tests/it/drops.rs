@@ -1,0 +1,249 @@
+//! Every reason to drop a datagram, provoked from outside: counted once, and nothing comes of it on
+//! either side.
+//!
+//! Silence is not waited for: a good exchange follows, and has to be the very next thing that the
+//! node and the client see. One worker handles both, in this order.
+
+use std::net::SocketAddr;
+
+use crate::harness::{
+    FIGURE_10, PASSWORD, Peer, Relay, SECOND, Settings, Site, WRONG, datagram, exchange, request,
+    response,
+};
+
+#[test]
+fn requests_that_are_not_in_order() {
+    let site = Site::claim();
+    let relay = site.relay(Settings::default());
+    let (client, stranger, node) = (site.client(), site.client(), site.node(4));
+    let complex = [0x0B, 0x04, 0x03, 0x02, 0x21, 0x8B];
+    let to = |elements: [u8; 2]| {
+        let mut route = FIGURE_10;
+        route[..2].copy_from_slice(&elements);
+        datagram(&route, &[], PASSWORD)
+    };
+    let beyond = |element| {
+        let mut route = FIGURE_10;
+        route[4] = element;
+        datagram(&route, &[], PASSWORD)
+    };
+    let good = request(4);
+    let with = |index: usize, octet| {
+        let mut octets = good.clone();
+        octets[index] = octet;
+        octets
+    };
+    let longer = |by: usize| [good.clone(), vec![0; by]].concat();
+
+    let reasons: [(&str, &[Vec<u8>]); 10] = [
+        ("too_short", &[vec![], vec![0x02], good[..15].to_vec()]),
+        ("too_long", &[longer(108 - good.len()), longer(600), longer(1400)]),
+        ("bad_header", &[with(0, 0x03), with(3, 1), [0x20, 0, 0, 0].repeat(5)]),
+        // A remaining-route-length of nothing, one beyond the end, a destination behind a source.
+        ("bad_route", &[with(6, 0), with(6, 27), with(10, 0x03)]),
+        (
+            "route_format",
+            &[
+                datagram(&[0x04, 0x9F], &[], PASSWORD), // Simple, 16 octets
+                datagram(&[0x84, 0x9F], &[], PASSWORD), // Immediate
+                datagram(&complex, &[], PASSWORD),
+            ],
+        ),
+        ("bad_length", &[longer(1), good[..good.len() - 1].to_vec(), with(13, 4), with(13, 2)]),
+        ("password_missing", &[good[..good.len() - 8].to_vec()]),
+        ("password_wrong", &[datagram(&FIGURE_10, &[], WRONG), datagram(&FIGURE_10, &[], SECOND)]),
+        // R-43, R-13: node address, IPNetID, and behind the node.
+        ("broadcast", &[to([11, 126]), to([11, 127]), to([126, 4]), beyond(126), beyond(127)]),
+        ("node_mismatch", &[to([11, 3]), to([11, 0]), to([11, 125])]),
+    ];
+    let mut expected = Vec::new();
+    for (reason, datagrams) in reasons {
+        for octets in datagrams {
+            stranger.send(site.public(4), octets);
+            exchange(&client, site.public(4), &node, 4);
+            assert_eq!(stranger.waiting(), None, "{reason}: {octets:02x?}");
+        }
+        expected.push(("request", reason, datagrams.len() as u64));
+        relay.expect_drops(&expected);
+    }
+    let metrics = relay.metrics();
+    let of_node_4 = [("net", "section-1"), ("node", "4"), ("direction", "request")];
+    let dropped = metrics.sum("pnet_nat_dropped_datagrams_total", &of_node_4);
+    assert_eq!(dropped, expected.iter().map(|(.., count)| count).sum::<u64>());
+    assert_eq!(metrics.sum("pnet_nat_flows_opened_total", &[]), 1, "none for the stranger");
+    relay.finish();
+}
+
+#[test]
+fn a_source_that_is_not_allowed() {
+    let (site, elsewhere) = (Site::claim(), Site::claim());
+    let relay = site.relay(Settings::default());
+    let (client, stranger, node) = (site.client(), elsewhere.client(), site.node(4));
+    stranger.send(site.public(4), &request(4));
+    exchange(&client, site.public(4), &node, 4);
+    assert_eq!(stranger.waiting(), None);
+    relay.expect_drops(&[("request", "source_not_allowed", 1)]);
+    relay.finish();
+}
+
+/// Guessing is hopeless, also for who guesses right in the end; who is known is served meanwhile.
+#[test]
+fn a_source_with_too_many_wrong_passwords() {
+    let site = Site::claim();
+    let limits = "[limits]\nwrong_password_burst = 3\nwrong_password_interval = \"1h\"";
+    let relay = site.relay(Settings { sections: limits, ..Settings::default() });
+    let (client, stranger, node) = (site.client(), site.client(), site.node(4));
+    for _ in 0..5 {
+        stranger.send(site.public(4), &datagram(&FIGURE_10, &[], WRONG));
+    }
+    stranger.send(site.public(4), &request(4));
+    exchange(&client, site.public(4), &node, 4);
+    for _ in 0..5 {
+        // Under a client's address, guesses cannot lock the client out.
+        client.send(site.public(4), &datagram(&FIGURE_10, &[], WRONG));
+    }
+    exchange(&client, site.public(4), &node, 4);
+    assert_eq!(stranger.waiting(), None);
+    relay.expect_drops(&[("request", "password_wrong", 8), ("request", "throttled", 3)]);
+    relay.finish();
+}
+
+/// One node's clients need a socket each. With this limit there are 32 for them.
+#[test]
+fn no_upstream_socket_left() {
+    let site = Site::claim();
+    let relay = site.relay(Settings { descriptors: Some(167), ..Settings::default() });
+    let node = site.node(4);
+    let address = site.client().address().ip();
+    let clients: Vec<_> = (0..33).map(|_| Peer::bind((address, 0).into())).collect();
+    let (last, served) = clients.split_last().unwrap();
+    for client in served {
+        exchange(client, site.public(4), &node, 4);
+    }
+    last.send(site.public(4), &request(4));
+    for client in served {
+        exchange(client, site.public(4), &node, 4);
+    }
+    assert_eq!(last.waiting(), None);
+    relay.expect_drops(&[("request", "upstream_exhausted", 1)]);
+    // The same socket does for another node.
+    let other = site.node(3);
+    exchange(last, site.public(3), &other, 3);
+    relay.finish();
+}
+
+/// Loopback's broadcast address stands for a server that the system refuses to send to.
+#[test]
+fn a_server_that_cannot_be_sent_to() {
+    let site = Site::claim();
+    let server = format!(
+        "[[server]]\nname = \"press\"\npublic_port = 20200\naddress = \"127.255.255.255:34379\"\n\
+         node = 4\nallow = [\"{}/24\"]\n\
+         [[server.password]]\nname = \"service\"\nfile = \"service\"",
+        site.address(0)
+    );
+    let relay = site.relay(Settings { sections: &server, ..Settings::default() });
+    let (client, node) = (site.client(), site.node(4));
+    let press = SocketAddr::from((site.public_address(), 20200));
+    exchange(&client, site.public(4), &node, 4);
+    client.send(press, &request(4));
+    exchange(&client, site.public(4), &node, 4);
+    relay.expect_drops(&[("request", "send_failed", 1)]);
+    let complaints = relay.process.logged("cannot send to a server");
+    assert_eq!(complaints.len(), 1, "{complaints:?}");
+    relay.finish();
+}
+
+#[test]
+fn responses_that_are_not_in_order() {
+    let site = Site::claim();
+    let relay = site.relay(Settings::default());
+    let (client, node) = (site.client(), site.node(4));
+    client.send(site.public(4), &request(4));
+    let from_relay = node.expect(&request(4));
+    let good = response(4);
+    let with = |index: usize, octet| {
+        let mut octets = good.clone();
+        octets[index] = octet;
+        octets
+    };
+    let longer = |by: usize| [good.clone(), vec![0; by]].concat();
+    let wrong = [&good[..good.len() - 8], WRONG].concat();
+    let others = [&good[..good.len() - 8], SECOND].concat();
+    let reasons: [(&str, &[Vec<u8>]); 6] = [
+        ("too_short", &[vec![], vec![0x02], good[..7].to_vec()]),
+        ("too_long", &[longer(108 - good.len()), longer(1400)]),
+        ("bad_header", &[with(0, 0x03), with(3, 1)]),
+        // The last three: formats that IP does not carry (R-32).
+        (
+            "bad_route",
+            &[
+                with(6, 0),
+                with(6, 27),
+                datagram(&[0x04, 0x9F], &[], PASSWORD),
+                datagram(&[0x84, 0x9F], &[], PASSWORD),
+                datagram(&[0x0B, 0x04, 0x03, 0x02, 0x21, 0x8B], &[], PASSWORD),
+            ],
+        ),
+        ("bad_length", &[longer(1), good[..good.len() - 1].to_vec()]),
+        ("password_mismatch", &[wrong, others]),
+    ];
+    let mut expected = Vec::new();
+    for (reason, datagrams) in reasons {
+        for octets in datagrams {
+            node.send(from_relay, octets);
+            exchange(&client, site.public(4), &node, 4);
+        }
+        expected.push(("response", reason, datagrams.len() as u64));
+        relay.expect_drops(&expected);
+    }
+    relay.finish();
+}
+
+/// From a node that was not asked over this socket, from a node's other port, from anywhere else.
+#[test]
+fn responses_that_nobody_waits_for() {
+    let (site, elsewhere) = (Site::claim(), Site::claim());
+    let relay = site.relay(Settings::default());
+    let (client, node, other) = (site.client(), site.node(4), site.node(3));
+    client.send(site.public(4), &request(4));
+    let from_relay = node.expect(&request(4));
+    let other_port = Peer::bind((site.address(4), 34380).into());
+    for (sender, net, node_address) in
+        [(&other, "section-1", "3"), (&other_port, "none", "0"), (&elsewhere.client(), "none", "0")]
+    {
+        let before = unknown(&relay, net, node_address);
+        sender.send(from_relay, &response(4));
+        exchange(&client, site.public(4), &node, 4);
+        assert_eq!(unknown(&relay, net, node_address), before + 1);
+    }
+    relay.expect_drops(&[("response", "unknown_flow", 3)]);
+    relay.finish();
+}
+
+fn unknown(relay: &Relay, net: &str, node: &str) -> u64 {
+    let labels = [("net", net), ("node", node), ("reason", "unknown_flow")];
+    relay.metrics().sum("pnet_nat_dropped_datagrams_total", &labels)
+}
+
+/// A16: passed on without a password, unless the net wants one.
+#[test]
+fn a_response_without_the_password_that_its_net_requires() {
+    for (net, required) in [("", false), ("require_response_password = true", true)] {
+        let site = Site::claim();
+        let relay = site.relay(Settings { net, ..Settings::default() });
+        let (client, node) = (site.client(), site.node(4));
+        client.send(site.public(4), &request(4));
+        let from_relay = node.expect(&request(4));
+        let bare = &response(4)[..response(4).len() - 8];
+        node.send(from_relay, bare);
+        if required {
+            exchange(&client, site.public(4), &node, 4);
+            relay.expect_drops(&[("response", "password_mismatch", 1)]);
+        } else {
+            client.expect(bare);
+            relay.expect_drops(&[]);
+        }
+        relay.finish();
+    }
+}

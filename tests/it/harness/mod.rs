@@ -1,0 +1,53 @@
+//! What the scenarios are made of: a relay as a process, simulated servers and clients as sockets,
+//! octets written by hand.
+//!
+//! Whatever is waited for is polled, with one patience for all. Invariant: what was started ends
+//! with its owner, also when the test fails.
+
+mod capture;
+mod metrics;
+mod network;
+mod octets;
+mod process;
+mod relay;
+mod site;
+
+use std::time::{Duration, Instant};
+
+pub(crate) use capture::{Capture, Packet};
+pub(crate) use metrics::Metrics;
+pub(crate) use network::Network;
+pub(crate) use octets::{
+    DEVICE, FIGURE_10, PASSWORD, PASSWORDS, SECOND, WRONG, datagram, request, response,
+};
+pub(crate) use process::{Process, pnet_nat, pnet_nat_within};
+pub(crate) use relay::{Relay, Settings, folder};
+pub(crate) use site::{Peer, Site, exchange};
+
+/// How long something may take that should take no time: a busy machine is not a fault.
+pub(crate) const PATIENCE: Duration = Duration::from_secs(20);
+
+/// Looks until there is something to find.
+pub(crate) fn eventually<T>(what: &str, mut probe: impl FnMut() -> Option<T>) -> T {
+    let end = Instant::now() + PATIENCE;
+    loop {
+        if let Some(found) = probe() {
+            return found;
+        }
+        assert!(Instant::now() < end, "not within {PATIENCE:?}: {what}");
+        pause(Duration::from_millis(5));
+    }
+}
+
+/// Lets time pass, for what can only be seen by its absence.
+#[expect(clippy::disallowed_methods, reason = "the one place where tests sleep")]
+pub(crate) fn pause(time: Duration) {
+    std::thread::sleep(time);
+}
+
+/// Says that a scenario is left out for want of something; fails where all have to run.
+pub(crate) fn left_out(want: &str) {
+    let all = std::env::var_os("PNET_NAT_TESTS").is_some_and(|tests| tests == "all");
+    assert!(!all, "PNET_NAT_TESTS=all, and there is a want: {want}");
+    println!("left out: {want}");
+}

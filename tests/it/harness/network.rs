@@ -1,0 +1,168 @@
+//! Three network namespaces: Internet – edge – plant, cabled, addressed, and gone when dropped.
+//!
+//! The edge does not forward, so whatever crosses it was carried by the relay. Invariant: a thread
+//! that enters a namespace ends there; sockets and processes that it makes stay in it.
+
+use std::fs::{self, File};
+use std::io::Write;
+use std::net::{IpAddr, Ipv4Addr, SocketAddr};
+use std::panic;
+use std::process::{self, Command, Stdio};
+use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
+use std::thread;
+
+use nix::sched::{CloneFlags, setns};
+
+use super::{Capture, Peer, left_out};
+
+/// The edge's public addresses are the .1 and ::1 of the same networks.
+const INTERNET: &str = "
+    address add 198.51.100.7/24 dev eth0
+    address add 198.51.100.8/24 dev eth0
+    address add 203.0.113.7/24 dev eth0
+    address add 2001:db8:1::7/64 dev eth0 nodad
+    address add 2001:db8:2::7/64 dev eth0 nodad";
+
+const EDGE: &str = "
+    address add 198.51.100.1/24 dev eth0
+    address add 203.0.113.1/24 dev eth0
+    address add 2001:db8:1::1/64 dev eth0 nodad
+    address add 2001:db8:2::1/64 dev eth0 nodad
+    address add 172.17.17.254/24 dev eth1
+    link set eth1 up";
+
+/// Nodes 1 to 4 and 33, and a client among them.
+const PLANT: &str = "
+    address add 172.17.17.1/24 dev eth0
+    address add 172.17.17.2/24 dev eth0
+    address add 172.17.17.3/24 dev eth0
+    address add 172.17.17.4/24 dev eth0
+    address add 172.17.17.33/24 dev eth0
+    address add 172.17.17.100/24 dev eth0
+    route add default via 172.17.17.254 src 172.17.17.100";
+
+/// The three namespaces.
+#[derive(Debug)]
+pub(crate) struct Network {
+    pub(crate) internet: Namespace,
+    pub(crate) edge: Namespace,
+    pub(crate) plant: Namespace,
+}
+
+impl Network {
+    /// Builds them; says so where that is not possible.
+    pub(crate) fn build() -> Option<Self> {
+        let made = Namespace::new("inet").and_then(|internet| {
+            let (edge, plant) = (Namespace::new("edge")?, Namespace::new("plant")?);
+            Ok(Self { internet, edge, plant })
+        });
+        match made {
+            Ok(network) => {
+                network.cable();
+                Some(network)
+            }
+            Err(error) => {
+                left_out(&format!("network namespaces, which need root and iproute2: {error}"));
+                None
+            }
+        }
+    }
+
+    /// Runs a scenario in the edge, where the relay is.
+    pub(crate) fn at_the_edge(&self, scenario: impl FnOnce() + Send) {
+        self.edge.enter(scenario);
+    }
+
+    /// A server node: a socket on its Secure port in the plant.
+    pub(crate) fn node(&self, node_address: u8) -> Peer {
+        self.plant.peer((Ipv4Addr::new(172, 17, 17, node_address), 34379).into())
+    }
+
+    /// A client on the Internet.
+    pub(crate) fn client(&self, address: &str) -> Peer {
+        self.internet.peer((address.parse::<IpAddr>().unwrap(), 0).into())
+    }
+
+    fn cable(&self) {
+        let cable = |from: &Namespace, near: &str, far: &str| {
+            let edge = &self.edge.name;
+            from.ip(&format!("link add {near} type veth peer name {far} netns {edge}"));
+        };
+        cable(&self.internet, "eth0", "eth0");
+        cable(&self.plant, "eth0", "eth1");
+        let all = [(&self.internet, INTERNET), (&self.edge, EDGE), (&self.plant, PLANT)];
+        for (namespace, _) in all {
+            namespace.ip("link set lo up\nlink set eth0 up");
+        }
+        for (namespace, commands) in all {
+            namespace.ip(commands);
+        }
+        self.edge.enter(|| {
+            for switch in ["ipv4/ip_forward", "ipv6/conf/all/forwarding"] {
+                let path = format!("/proc/sys/net/{switch}");
+                if fs::read_to_string(&path).unwrap().trim() != "0" {
+                    fs::write(&path, "0").unwrap();
+                }
+            }
+        });
+    }
+}
+
+/// One network namespace.
+#[derive(Debug)]
+pub(crate) struct Namespace {
+    name: String,
+}
+
+impl Namespace {
+    fn new(place: &str) -> Result<Self, String> {
+        static NEXT: AtomicU32 = AtomicU32::new(0);
+        let name = format!("pnet-nat-{}-{}-{place}", process::id(), NEXT.fetch_add(1, Relaxed));
+        let made = Command::new("ip").args(["netns", "add", &name]).output();
+        let made = made.map_err(|error| format!("ip: {error}"))?;
+        if !made.status.success() {
+            return Err(String::from_utf8_lossy(&made.stderr).trim_end().to_owned());
+        }
+        Ok(Self { name })
+    }
+
+    /// Runs `there` in this namespace, on a thread of its own.
+    pub(crate) fn enter<T: Send>(&self, there: impl FnOnce() -> T + Send) -> T {
+        let namespace = File::open(format!("/run/netns/{}", self.name)).unwrap();
+        thread::scope(|scope| {
+            let thread = scope.spawn(|| {
+                setns(namespace, CloneFlags::CLONE_NEWNET).unwrap();
+                there()
+            });
+            thread.join().unwrap_or_else(|panicked| panic::resume_unwind(panicked))
+        })
+    }
+
+    /// Runs commands of `ip`, one a line.
+    #[track_caller]
+    pub(crate) fn ip(&self, commands: &str) {
+        let mut ip = Command::new("ip")
+            .args(["-netns", &self.name, "-batch", "-"])
+            .stdin(Stdio::piped())
+            .spawn()
+            .unwrap();
+        ip.stdin.take().unwrap().write_all(commands.as_bytes()).unwrap();
+        assert!(ip.wait().unwrap().success(), "{commands}");
+    }
+
+    pub(crate) fn peer(&self, address: SocketAddr) -> Peer {
+        self.enter(|| Peer::bind(address))
+    }
+
+    /// Takes down every UDP and ICMP packet from now on.
+    pub(crate) fn capture(&self) -> Capture {
+        self.enter(Capture::start)
+    }
+}
+
+impl Drop for Namespace {
+    fn drop(&mut self) {
+        // Takes its cables along. If it stays behind, its name tells whose it was.
+        let _ = Command::new("ip").args(["netns", "delete", &self.name]).status();
+    }
+}

@@ -1,0 +1,128 @@
+//! The real binary as a process: started, read, signalled, and gone when dropped.
+
+use std::io::{BufRead, BufReader, Read};
+use std::process::{Child, Command, Stdio};
+use std::sync::{Arc, Mutex};
+use std::thread::{self, JoinHandle};
+
+use nix::sys::signal::{Signal, kill};
+use nix::unistd::Pid;
+use serde_json::Value;
+
+use super::eventually;
+
+/// The binary with these arguments, and with no option out of the environment.
+pub(crate) fn pnet_nat(arguments: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_pnet-nat"));
+    command.args(arguments);
+    scrubbed(command)
+}
+
+/// The same with a hard limit of file descriptors.
+pub(crate) fn pnet_nat_within(descriptors: u64, arguments: &[&str]) -> Command {
+    let mut command = Command::new("sh");
+    command.args(["-c", "ulimit -n \"$0\" && exec \"$@\"", &descriptors.to_string()]);
+    command.arg(env!("CARGO_BIN_EXE_pnet-nat")).args(arguments);
+    scrubbed(command)
+}
+
+fn scrubbed(mut command: Command) -> Command {
+    for (name, _) in std::env::vars_os() {
+        if name.to_string_lossy().starts_with("PNET_NAT_") {
+            command.env_remove(name);
+        }
+    }
+    command
+}
+
+/// A process and what it has written so far.
+#[derive(Debug)]
+pub(crate) struct Process {
+    child: Child,
+    stdout: Output,
+    stderr: Output,
+}
+
+/// One stream, read by a thread of its own so that the process never waits for us.
+#[derive(Debug)]
+struct Output {
+    text: Arc<Mutex<String>>,
+    reader: Option<JoinHandle<()>>,
+}
+
+impl Process {
+    /// Starts it in the calling thread's network namespace.
+    pub(crate) fn start(mut command: Command) -> Self {
+        let command = command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
+        let mut child = command.spawn().unwrap();
+        let stdout = Output::of(child.stdout.take().unwrap());
+        let stderr = Output::of(child.stderr.take().unwrap());
+        Self { child, stdout, stderr }
+    }
+
+    pub(crate) fn id(&self) -> u32 {
+        self.child.id()
+    }
+
+    pub(crate) fn signal(&self, signal: Signal) {
+        kill(Pid::from_raw(self.id() as i32), signal).unwrap();
+    }
+
+    /// Waits until it has ended and tells its exit code; none when a signal killed it.
+    pub(crate) fn end(&mut self) -> Option<i32> {
+        let status = eventually("the process ends", || self.child.try_wait().unwrap());
+        for output in [&mut self.stdout, &mut self.stderr] {
+            if let Some(reader) = output.reader.take() {
+                reader.join().unwrap();
+            }
+        }
+        status.code()
+    }
+
+    pub(crate) fn has_ended(&mut self) -> bool {
+        self.child.try_wait().unwrap().is_some()
+    }
+
+    pub(crate) fn stdout(&self) -> String {
+        self.stdout.text.lock().unwrap().clone()
+    }
+
+    pub(crate) fn stderr(&self) -> String {
+        self.stderr.text.lock().unwrap().clone()
+    }
+
+    /// The log lines with this message, oldest first.
+    pub(crate) fn logged(&self, message: &str) -> Vec<Value> {
+        let stderr = self.stderr();
+        let complete = &stderr[..stderr.rfind('\n').map_or(0, |end| end + 1)];
+        let lines = complete.lines().map(|line| serde_json::from_str(line).expect(line));
+        lines.filter(|line: &Value| line["message"] == message).collect()
+    }
+}
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        // It may have ended already.
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+        if thread::panicking() {
+            println!("stderr of the process {}:\n{}", self.id(), self.stderr());
+        }
+    }
+}
+
+impl Output {
+    fn of(stream: impl Read + Send + 'static) -> Self {
+        let text = Arc::new(Mutex::new(String::new()));
+        let shared = Arc::clone(&text);
+        let reader = thread::spawn(move || {
+            let mut stream = BufReader::new(stream);
+            let mut line = String::new();
+            while stream.read_line(&mut line).unwrap() > 0 {
+                shared.lock().unwrap().push_str(&line);
+                line.clear();
+            }
+        });
+        Self { text, reader: Some(reader) }
+    }
+}

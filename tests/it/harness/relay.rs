@@ -1,0 +1,194 @@
+//! A running relay: its configuration, and what can be seen of it from outside.
+
+use std::collections::BTreeMap;
+use std::fs::{self, Permissions};
+use std::net::SocketAddr;
+use std::os::unix::fs::PermissionsExt;
+use std::path::Path;
+
+use nix::sys::signal::Signal;
+use tempfile::TempDir;
+
+use super::{
+    DEVICE, Metrics, PASSWORD, PASSWORDS, Process, SECOND, Site, eventually, pnet_nat,
+    pnet_nat_within,
+};
+
+const ADMIN_PORT: u16 = 9378;
+
+/// What a scenario adds to the usual configuration: TOML.
+#[derive(Clone, Debug)]
+pub(crate) struct Settings<'a> {
+    /// Further keys of the net.
+    pub(crate) net: &'a str,
+    /// The net's passwords.
+    pub(crate) passwords: &'a str,
+    /// Keys of `[runtime]`.
+    pub(crate) runtime: &'a str,
+    /// Further sections.
+    pub(crate) sections: &'a str,
+    /// Hard limit of file descriptors.
+    pub(crate) descriptors: Option<u64>,
+}
+
+impl Default for Settings<'_> {
+    /// One password, and one worker: what two clients send is then handled in that order.
+    fn default() -> Self {
+        Self {
+            net: "",
+            passwords: "[[udp_range_net.password]]\nname = \"service\"\nfile = \"service\"",
+            runtime: "workers = 1",
+            sections: "",
+            descriptors: None,
+        }
+    }
+}
+
+/// A folder with this configuration and the files of all passwords.
+pub(crate) fn folder(configuration: &str) -> TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    fs::write(folder.path().join("pnet-nat.toml"), configuration).unwrap();
+    for (name, password) in [("service", PASSWORD), ("second", SECOND), ("device", DEVICE)] {
+        write_password(&folder.path().join(name), password);
+    }
+    folder
+}
+
+fn write_password(path: &Path, octets: &[u8]) {
+    fs::write(path, octets).unwrap();
+    fs::set_permissions(path, Permissions::from_mode(0o600)).unwrap();
+}
+
+impl Site {
+    /// The configuration of a relay in front of nodes 1 to 4 and 33 of this site.
+    pub(crate) fn configuration(&self, settings: &Settings<'_>) -> String {
+        let Settings { net, passwords, runtime, sections, .. } = settings;
+        let (public, subnet) = (self.public_address(), self.address(0));
+        let start_port = self.start_port();
+        format!(
+            r#"
+[public]
+listen = ["{public}"]
+
+[runtime]
+{runtime}
+
+[admin]
+listen = "{public}:{ADMIN_PORT}"
+
+[[udp_range_net]]
+name = "section-1"
+start_port = {start_port}
+subnet = "{subnet}"
+nodes = ["1-4", 33]
+allow = ["{subnet}/24"]
+{net}
+{passwords}
+
+{sections}
+"#
+        )
+    }
+
+    /// Where its relay's admin server is.
+    pub(crate) fn admin(&self) -> SocketAddr {
+        (self.public_address(), ADMIN_PORT).into()
+    }
+
+    /// Starts a relay with the usual configuration and these settings, and waits until it is ready.
+    pub(crate) fn relay(&self, settings: Settings<'_>) -> Relay {
+        Relay::start(&self.configuration(&settings), self.admin(), settings.descriptors)
+    }
+}
+
+/// A relay that has become ready.
+#[derive(Debug)]
+pub(crate) struct Relay {
+    pub(crate) process: Process,
+    admin: SocketAddr,
+    _folder: TempDir,
+}
+
+impl Relay {
+    pub(crate) fn start(configuration: &str, admin: SocketAddr, descriptors: Option<u64>) -> Self {
+        let folder = folder(configuration);
+        let config = folder.path().join("pnet-nat.toml");
+        let arguments = ["run", "--config", config.to_str().unwrap()];
+        let command = match descriptors {
+            Some(limit) => pnet_nat_within(limit, &arguments),
+            None => pnet_nat(&arguments),
+        };
+        let mut relay = Self { process: Process::start(command), admin, _folder: folder };
+        eventually("the relay is ready", || {
+            assert!(!relay.process.has_ended(), "{}", relay.process.stderr());
+            (relay.get("/-/ready")?.0 == 200).then_some(())
+        });
+        relay
+    }
+
+    /// Status and body of an answer of the admin server, if there is one.
+    pub(crate) fn get(&self, path: &str) -> Option<(u16, String)> {
+        let agent: ureq::Agent = ureq::Agent::config_builder()
+            .http_status_as_error(false)
+            .timeout_global(Some(super::PATIENCE))
+            .build()
+            .into();
+        let mut answer = agent.get(format!("http://{}{path}", self.admin)).call().ok()?;
+        let body = answer.body_mut().with_config().limit(1 << 30).read_to_string().ok()?;
+        Some((answer.status().as_u16(), body))
+    }
+
+    pub(crate) fn metrics(&self) -> Metrics {
+        let (status, text) = self.get("/metrics").expect("an answer");
+        assert_eq!(status, 200);
+        Metrics::parse(&text)
+    }
+
+    /// Waits until exactly this was dropped: direction, reason, how often.
+    #[track_caller]
+    pub(crate) fn expect_drops(&self, expected: &[(&str, &str, u64)]) {
+        let expected: BTreeMap<_, _> = expected
+            .iter()
+            .map(|&(direction, reason, count)| ((direction.into(), reason.into()), count))
+            .collect();
+        let total = |drops: &BTreeMap<_, u64>| drops.values().sum::<u64>();
+        let drops = eventually("as many are dropped", || {
+            let drops = self.metrics().drops();
+            (total(&drops) >= total(&expected)).then_some(drops)
+        });
+        assert_eq!(drops, expected);
+    }
+
+    /// Once everything is at rest, received = forwarded + dropped.
+    #[track_caller]
+    pub(crate) fn expect_law(&self) {
+        let mut breaches = Vec::new();
+        for _ in 0..100 {
+            breaches = self.metrics().breaches();
+            if breaches.is_empty() {
+                return;
+            }
+            // A datagram may be between two counters.
+            super::pause(std::time::Duration::from_millis(10));
+        }
+        panic!("the law of the counters does not hold: {breaches:#?}");
+    }
+
+    /// Every scenario ends so: the law of the counters holds, SIGTERM ends the relay with exit
+    /// code 0, and no password was shown. Returns the ended process, for its log.
+    #[track_caller]
+    pub(crate) fn finish(mut self) -> Process {
+        self.expect_law();
+        let (_, metrics) = self.get("/metrics").expect("an answer");
+        let (_, config) = self.get("/api/v1/config").expect("an answer");
+        self.process.signal(Signal::SIGTERM);
+        assert_eq!(self.process.end(), Some(0), "{}", self.process.stderr());
+        for password in PASSWORDS {
+            let password = str::from_utf8(password).unwrap();
+            for shown in [&metrics, &config, &self.process.stderr(), &self.process.stdout()] {
+                assert!(!shown.contains(password), "a password in: {shown}");
+            }
+        }
+        self.process
+    }
+}

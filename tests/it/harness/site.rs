@@ -1,0 +1,144 @@
+//! A /24 of loopback for one scenario, and the sockets in it that play servers and clients.
+//!
+//! Linux has all of 127/8, so that nodes on their Secure port, relays on their public ports and
+//! admin servers never meet those of another scenario, nor those of another run.
+
+use std::io;
+use std::net::{Ipv4Addr, SocketAddr, UdpSocket};
+use std::process;
+use std::sync::atomic::{AtomicU8, AtomicU32, Ordering::Relaxed};
+
+use super::{PATIENCE, eventually, request, response};
+
+/// Below the ports that Linux lends on, so that nobody has one of the block by chance.
+const START_PORT: u16 = 20000;
+///
+const SECURE_PORT: u16 = 34379;
+/// Last octets of a site, beside its nodes 1 to 125.
+const PUBLIC: u8 = 200;
+const FIRST_CLIENT: u8 = 201;
+const CLAIM: u8 = 254;
+
+/// A subnet of loopback that nobody else uses.
+#[derive(Debug)]
+pub(crate) struct Site {
+    subnet: [u8; 3],
+    next_client: AtomicU8,
+    /// Held as long as the site is ours: nobody can bind it twice, in whichever process.
+    _claim: UdpSocket,
+}
+
+impl Site {
+    pub(crate) fn claim() -> Self {
+        static NEXT: AtomicU32 = AtomicU32::new(0);
+        loop {
+            let index = process::id().wrapping_mul(37).wrapping_add(NEXT.fetch_add(1, Relaxed));
+            let [.., high, low] = index.to_be_bytes();
+            let subnet = [127, 64 + high % 64, low];
+            let claim = Ipv4Addr::new(subnet[0], subnet[1], subnet[2], CLAIM);
+            match UdpSocket::bind((claim, START_PORT)) {
+                Ok(claim) => {
+                    return Self { subnet, next_client: FIRST_CLIENT.into(), _claim: claim };
+                }
+                Err(error) => assert_eq!(error.kind(), io::ErrorKind::AddrInUse, "{claim}"),
+            }
+        }
+    }
+
+    pub(crate) fn address(&self, last: u8) -> Ipv4Addr {
+        let [a, b, c] = self.subnet;
+        Ipv4Addr::new(a, b, c, last)
+    }
+
+    /// The relay's own address.
+    pub(crate) fn public_address(&self) -> Ipv4Addr {
+        self.address(PUBLIC)
+    }
+
+    pub(crate) fn start_port(&self) -> u16 {
+        START_PORT
+    }
+
+    /// Where a node is reached from outside.
+    pub(crate) fn public(&self, node_address: u8) -> SocketAddr {
+        (self.public_address(), START_PORT + u16::from(node_address)).into()
+    }
+
+    /// A server node: a socket on its Secure port.
+    pub(crate) fn node(&self, node_address: u8) -> Peer {
+        Peer::bind((self.address(node_address), SECURE_PORT).into())
+    }
+
+    /// A client at an address of its own.
+    pub(crate) fn client(&self) -> Peer {
+        let last = self.next_client.fetch_add(1, Relaxed);
+        assert!(last < CLAIM, "a site has room for {} clients", CLAIM - FIRST_CLIENT);
+        Peer::bind((self.address(last), 0).into())
+    }
+}
+
+/// One end of an exchange: a socket that sends and gets octets.
+#[derive(Debug)]
+pub(crate) struct Peer(UdpSocket);
+
+impl Peer {
+    /// Binds; waits for a port that is taken, for it may be lent to another scenario's relay.
+    pub(crate) fn bind(address: SocketAddr) -> Self {
+        let socket = eventually("the port is free", || match UdpSocket::bind(address) {
+            Ok(socket) => Some(socket),
+            Err(error) if error.kind() == io::ErrorKind::AddrInUse => None,
+            Err(error) => panic!("{address}: {error}"),
+        });
+        socket.set_read_timeout(Some(PATIENCE)).unwrap();
+        Self(socket)
+    }
+
+    pub(crate) fn address(&self) -> SocketAddr {
+        self.0.local_addr().unwrap()
+    }
+
+    pub(crate) fn send(&self, to: SocketAddr, octets: &[u8]) {
+        assert_eq!(self.0.send_to(octets, to).unwrap(), octets.len());
+    }
+
+    /// The next datagram and its sender.
+    #[track_caller]
+    pub(crate) fn receive(&self) -> (Vec<u8>, SocketAddr) {
+        let mut octets = [0; 2048];
+        match self.0.recv_from(&mut octets) {
+            Ok((length, from)) => (octets[..length].to_vec(), from),
+            Err(error) => panic!("nothing came to {}: {error}", self.address()),
+        }
+    }
+
+    /// The next datagram has to be this one; tells its sender.
+    #[track_caller]
+    pub(crate) fn expect(&self, octets: &[u8]) -> SocketAddr {
+        let (came, from) = self.receive();
+        assert_eq!(came, octets, "the datagram that came to {}", self.address());
+        from
+    }
+
+    /// What waits, if anything does.
+    pub(crate) fn waiting(&self) -> Option<Vec<u8>> {
+        self.0.set_nonblocking(true).unwrap();
+        let mut octets = [0; 2048];
+        let waiting = self.0.recv_from(&mut octets).map(|(length, _)| octets[..length].to_vec());
+        self.0.set_nonblocking(false).unwrap();
+        match waiting {
+            Err(error) if error.kind() == io::ErrorKind::WouldBlock => None,
+            waiting => Some(waiting.unwrap()),
+        }
+    }
+}
+
+/// A request reaches its node and the answer its client, both octet for octet, both as the very
+/// next thing that comes there. Tells the relay's port towards the node.
+#[track_caller]
+pub(crate) fn exchange(client: &Peer, public: SocketAddr, node: &Peer, node_address: u8) -> u16 {
+    client.send(public, &request(node_address));
+    let relay = node.expect(&request(node_address));
+    node.send(relay, &response(node_address));
+    assert_eq!(client.expect(&response(node_address)), public, "who answers");
+    relay.port()
+}

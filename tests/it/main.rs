@@ -1,0 +1,15 @@
+//! What crosses modules, shown on the real binary: one file a subject, one `harness` for all.
+//!
+//! Nothing leaves the machine: every address is of 127/8 or of a network namespace that the test
+//! made. Each scenario has a /24 of loopback to itself, so they run side by side. A scenario that
+//! needs what the machine lacks says so and is left out; with `PNET_NAT_TESTS=all` it fails.
+
+mod bad_input;
+mod commands;
+mod drops;
+mod harness;
+mod namespaces;
+mod relaying;
+mod scale;
+mod stopping;
+mod watching;

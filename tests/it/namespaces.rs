@@ -1,0 +1,345 @@
+//! The relay where it belongs: between two networks that only it connects.
+//!
+//! Needs root. The scenarios run at the edge; servers and clients are sockets in the plant and on
+//! the Internet, or processes there.
+
+use std::net::SocketAddr;
+
+use nix::sys::signal::Signal;
+
+use crate::harness::{
+    FIGURE_10, Network, PASSWORD, Packet, Peer, Process, Relay, WRONG, datagram, eventually,
+    exchange, folder, pnet_nat, request, response,
+};
+
+/// The configuration that users start from; its passwords in the files of the harness.
+const ANNOTATED: &str = include_str!("../../config/pnet-nat.toml");
+
+fn start_annotated() -> Relay {
+    let configuration =
+        ANNOTATED.replace("secrets/section-1", "service").replace("secrets/press", "second");
+    Relay::start(&configuration, admin(), None)
+}
+
+/// Every client is allowed, from wherever it comes.
+fn start(listen: &str) -> Relay {
+    let configuration = format!(
+        r#"
+[public]
+listen = {listen}
+
+[runtime]
+workers = 2
+
+[[udp_range_net]]
+name = "section-1"
+start_port = 40000
+subnet = "172.17.17.0"
+nodes = ["1-4", 33]
+allow = ["0.0.0.0/0", "::/0"]
+
+[[udp_range_net.password]]
+name = "service"
+file = "service"
+"#
+    );
+    Relay::start(&configuration, admin(), None)
+}
+
+fn admin() -> SocketAddr {
+    "127.0.0.1:9378".parse().unwrap()
+}
+
+fn public(address: &str, node_address: u8) -> SocketAddr {
+    (address.parse::<std::net::IpAddr>().unwrap(), 40000 + u16::from(node_address)).into()
+}
+
+/// R-8, R-10, R-11, N-5, RFC 4787 REQ-10: both sides captured and compared.
+#[test]
+fn figure_10_crosses_the_edge_unchanged() {
+    let Some(network) = Network::build() else { return };
+    network.at_the_edge(|| {
+        let relay = start_annotated();
+        let node = network.node(4);
+        let client = network.client("198.51.100.7");
+        let (outside, inside) = (network.internet.capture(), network.plant.capture());
+
+        let asked = datagram(&FIGURE_10, &[], PASSWORD);
+        let public = public("198.51.100.1", 4);
+        client.send(public, &asked);
+        let from_relay = node.expect(&asked);
+        node.send(from_relay, &response(4));
+        assert_eq!(client.expect(&response(4)), public);
+
+        let (outside, inside) = (outside.end(), inside.end());
+        let udp = |from: SocketAddr, to: SocketAddr, octets: &[u8]| Packet::Udp {
+            from,
+            to,
+            octets: octets.to_vec(),
+        };
+        let (client, node, answer) = (client.address(), node.address(), response(4));
+        assert_eq!(outside, [udp(client, public, &asked), udp(public, client, &answer)]);
+        assert_eq!(inside, [udp(from_relay, node, &asked), udp(node, from_relay, &answer)]);
+        assert_eq!(from_relay.ip().to_string(), "172.17.17.254");
+
+        relay.expect_drops(&[]);
+        relay.finish();
+    });
+}
+
+/// N-1, N-5: `pnet-nat request` on the Internet, `pnet-nat run` at the edge, `pnet-nat node` in the
+/// plant.
+#[test]
+fn three_processes_in_three_networks() {
+    let Some(network) = Network::build() else { return };
+    network.at_the_edge(|| {
+        let relay = start_annotated();
+        let folder = folder("");
+        let password = folder.path().join("service");
+        let password = password.to_str().unwrap();
+        let (outside, inside) = (network.internet.capture(), network.plant.capture());
+
+        let mut nodes = network.plant.enter(|| {
+            let listen = "172.17.17.1-4,172.17.17.33";
+            Process::start(pnet_nat(&["node", "--listen", listen, "--password-file", password]))
+        });
+        eventually("the nodes are there", || (nodes.stdout().lines().count() == 5).then_some(()));
+        let ask = || {
+            let arguments = [
+                &["request", "--to", "198.51.100.1", "--start-port", "40000"][..],
+                &["--node", "1-4,33", "--count", "20", "--interval", "1ms"],
+                &["--password-file", password],
+            ];
+            network.internet.enter(|| Process::start(pnet_nat(&arguments.concat())))
+        };
+        for mut client in [ask(), ask()] {
+            assert_eq!(client.end(), Some(0), "{}", client.stdout());
+            assert!(client.stdout().contains("sent 100, answered 100, lost 0"));
+        }
+        nodes.signal(Signal::SIGTERM);
+        assert_eq!(nodes.end(), Some(0));
+
+        let octets = |capture: Vec<Packet>| {
+            let mut all: Vec<_> = capture.iter().map(|packet| packet.octets().to_vec()).collect();
+            all.sort_unstable(); // two clients at once: the order is theirs
+            all
+        };
+        let (outside, inside) = (octets(outside.end()), octets(inside.end()));
+        assert_eq!(outside.len(), 400);
+        assert_eq!(outside, inside);
+        relay.expect_drops(&[]);
+        relay.finish();
+    });
+}
+
+/// N-1, R-41 and the reply address: IPv4 and IPv6, the same client port again and again.
+#[test]
+fn an_answer_leaves_from_the_address_that_was_asked() {
+    let Some(network) = Network::build() else { return };
+    network.at_the_edge(|| {
+        let each = r#"["198.51.100.1", "203.0.113.1", "2001:db8:1::1", "2001:db8:2::1"]"#;
+        for listen in [r#"["0.0.0.0", "::"]"#, each] {
+            let relay = start(listen);
+            let nodes = [1, 4, 33].map(|node_address| (node_address, network.node(node_address)));
+            let ways = [
+                ("198.51.100.7:50000", "198.51.100.1"),
+                ("198.51.100.8:50000", "198.51.100.1"),
+                ("203.0.113.7:50000", "203.0.113.1"),
+                ("198.51.100.7:50001", "203.0.113.1"), // routing would pick another address
+                ("[2001:db8:1::7]:50000", "2001:db8:1::1"),
+                ("[2001:db8:2::7]:50000", "2001:db8:2::1"),
+                ("[2001:db8:1::7]:50001", "2001:db8:2::1"),
+            ];
+            let mut ports = Vec::new();
+            for (from, to) in ways {
+                let client = network.internet.peer(from.parse().unwrap());
+                for _ in 0..2 {
+                    for (node_address, node) in &nodes {
+                        let port =
+                            exchange(&client, public(to, *node_address), node, *node_address);
+                        ports.push((from, port));
+                    }
+                }
+            }
+            ports.sort_unstable();
+            ports.dedup();
+            assert_eq!(ports.len(), ways.len(), "R-41: one port a client");
+            relay.expect_drops(&[]);
+            relay.finish();
+        }
+    });
+}
+
+/// N-4, RFC 4787 REQ-9: a client inside the plant uses the public address all the same.
+#[test]
+fn a_client_in_the_plant_reaches_the_public_address() {
+    let Some(network) = Network::build() else { return };
+    network.at_the_edge(|| {
+        let relay = start(r#"["0.0.0.0"]"#);
+        let node = network.node(4);
+        let client = network.plant.peer("172.17.17.100:0".parse().unwrap());
+        for address in ["198.51.100.1", "203.0.113.1"] {
+            exchange(&client, public(address, 4), &node, 4);
+        }
+        relay.expect_drops(&[]);
+        relay.finish();
+    });
+}
+
+/// N-7, RFC 4787 REQ-12, RFC 5508: ICMP neither closes a flow nor fails the next send.
+#[test]
+fn a_node_that_was_down_is_reached_again() {
+    let Some(network) = Network::build() else { return };
+    network.at_the_edge(|| {
+        let relay = start(r#"["0.0.0.0"]"#);
+        let (client, node) = (network.client("198.51.100.7"), network.node(4));
+        let public = public("198.51.100.1", 4);
+        let port = exchange(&client, public, &node, 4);
+        let server = node.address();
+        drop(node);
+        let (outside, inside) = (network.internet.capture(), network.plant.capture());
+        client.send(public, &request(4));
+        let refusal =
+            Packet::PortUnreachable { from: server.ip(), to: "172.17.17.254".parse().unwrap() };
+        eventually("ICMP is seen", || inside.so_far().contains(&refusal).then_some(()));
+
+        let node = network.plant.peer(server);
+        assert_eq!(exchange(&client, public, &node, 4), port);
+        assert_eq!(outside.end().len(), 3, "nothing but three datagrams on the Internet side");
+        let metrics = relay.metrics();
+        assert_eq!(metrics.sum("pnet_nat_flows_opened_total", &[]), 1);
+        assert_eq!(metrics.sum("pnet_nat_forwarded_datagrams_total", &[]), 5);
+        relay.expect_drops(&[]);
+        relay.finish();
+    });
+}
+
+/// N-11, RFC 8085: captured on both sides, a flood from strangers causes nothing at all.
+#[test]
+fn a_flood_causes_no_packet_on_either_side() {
+    let Some(network) = Network::build() else { return };
+    network.at_the_edge(|| {
+        let relay = start(r#"["0.0.0.0", "::"]"#);
+        let (client, node) = (network.client("198.51.100.7"), network.node(4));
+        let strangers = [("198.51.100.8", "198.51.100.1"), ("2001:db8:1::7", "2001:db8:1::1")];
+        let (outside, inside) = (network.internet.capture(), network.plant.capture());
+        let mut simple = datagram(&[0x04, 0x9F], &[], PASSWORD);
+        simple.extend([0; 20]);
+        let kinds = [
+            datagram(&FIGURE_10, &[1, 2, 3], WRONG),
+            datagram(&FIGURE_10, &[1, 2, 3], b""),
+            request(3), // a good password in a request for another node
+            simple,
+            vec![0xFF; 1400],
+            vec![],
+        ];
+        let mut sent = 0;
+        for (from, to) in strangers {
+            let stranger = network.client(from);
+            for octets in kinds.iter().cycle().take(1500) {
+                stranger.send(public(to, 4), octets);
+                sent += 1;
+                if sent % 100 == 0 {
+                    // Not faster than the relay takes them: the kernel is not to drop any.
+                    let labels = [("node", "4"), ("direction", "request")];
+                    eventually("they are taken", || {
+                        let received =
+                            relay.metrics().sum("pnet_nat_received_datagrams_total", &labels);
+                        (received == sent).then_some(())
+                    });
+                }
+            }
+            assert_eq!(stranger.waiting(), None);
+        }
+        let from_relay = exchange(&client, public("198.51.100.1", 4), &node, 4);
+
+        let (outside, inside) = (outside.end(), inside.end());
+        assert_eq!(outside.len() as u64, sent + 2, "what the strangers sent, and one exchange");
+        let expected = [request(4), response(4)];
+        assert_eq!(
+            outside[sent as usize..].iter().map(Packet::octets).collect::<Vec<_>>(),
+            expected
+        );
+        assert_eq!(inside.iter().map(Packet::octets).collect::<Vec<_>>(), expected);
+        assert!(matches!(&inside[0], Packet::Udp { from, .. } if from.port() == from_relay));
+        let metrics = relay.metrics();
+        assert_eq!(metrics.drops().values().sum::<u64>(), sent);
+        assert_eq!(metrics.sum("pnet_nat_flows_opened_total", &[]), 1);
+        relay.finish();
+    });
+}
+
+/// R-11: nobody listens where the broadcast addresses would be; the host itself says so.
+#[test]
+fn nothing_listens_at_the_broadcast_addresses() {
+    let Some(network) = Network::build() else { return };
+    network.at_the_edge(|| {
+        let relay = start_annotated();
+        let client = network.client("198.51.100.7");
+        let (outside, inside) = (network.internet.capture(), network.plant.capture());
+        for node_address in [126, 127] {
+            client.send(public("198.51.100.1", node_address), &request(node_address));
+        }
+        eventually("the host refuses both", || {
+            let refused = |packet: &&Packet| matches!(packet, Packet::PortUnreachable { .. });
+            (outside.so_far().iter().filter(refused).count() == 2).then_some(())
+        });
+        assert_eq!(inside.end(), []);
+        relay.expect_drops(&[]);
+        relay.finish();
+    });
+}
+
+/// A cable that is out is counted, and in again forgotten: on the plant's side, then on the other.
+#[test]
+fn a_network_that_was_gone_is_used_again() {
+    let Some(network) = Network::build() else { return };
+    network.at_the_edge(|| {
+        let relay = start(r#"["0.0.0.0"]"#);
+        let (client, node) = (network.client("198.51.100.7"), network.node(4));
+        let public = public("198.51.100.1", 4);
+        exchange(&client, public, &node, 4);
+
+        network.edge.ip("link set eth1 down");
+        client.send(public, &request(4));
+        client.send(public, &request(4));
+        relay.expect_drops(&[("request", "send_failed", 2)]);
+        network.edge.ip("link set eth1 up");
+        exchange(&client, public, &node, 4);
+
+        client.send(public, &request(4));
+        let from_relay = node.expect(&request(4));
+        network.edge.ip("link set eth0 down");
+        node.send(from_relay, &response(4));
+        relay.expect_drops(&[("request", "send_failed", 2), ("response", "send_failed", 1)]);
+        network.edge.ip("link set eth0 up");
+        exchange(&client, public, &node, 4);
+
+        assert_eq!(relay.process.logged("cannot send to a server").len(), 1, "one line for two");
+        assert_eq!(relay.metrics().sum("pnet_nat_flows_opened_total", &[]), 1);
+        relay.finish();
+    });
+}
+
+/// A source that is not allowed comes no further than the edge, whatever it knows.
+#[test]
+fn only_allowed_networks_come_in() {
+    let Some(network) = Network::build() else { return };
+    network.at_the_edge(|| {
+        let relay = start_annotated();
+        let (allowed, stranger) = (network.client("198.51.100.7"), network.client("203.0.113.7"));
+        let node = network.node(4);
+        let inside = network.plant.capture();
+        send_and_expect_silence(&stranger, public("203.0.113.1", 4), &relay);
+        exchange(&allowed, public("203.0.113.1", 4), &node, 4);
+        assert_eq!(inside.end().len(), 2);
+        assert_eq!(stranger.waiting(), None);
+        relay.finish();
+    });
+}
+
+fn send_and_expect_silence(stranger: &Peer, public: SocketAddr, relay: &Relay) {
+    stranger.send(public, &request(4));
+    relay.expect_drops(&[("request", "source_not_allowed", 1)]);
+    assert_eq!(stranger.waiting(), None);
+}

@@ -1,0 +1,89 @@
+//! 64 plant sections of 125 nodes: 8,000 public ports, within 20,000 file descriptors.
+
+use std::fmt::Write;
+use std::fs;
+use std::time::{Duration, Instant};
+
+use nix::sys::resource::{Resource, getrlimit};
+
+use crate::harness::{Peer, Relay, Site, exchange, left_out, pause};
+
+const SECTIONS: u16 = 64;
+const DESCRIPTORS: u64 = 20_000;
+/// A build for debugging is slow, and not what runs in a plant.
+const START_TIME: Duration =
+    if cfg!(debug_assertions) { Duration::from_secs(10) } else { Duration::from_secs(3) };
+
+#[test]
+fn eight_thousand_public_ports() {
+    let (_, hard) = getrlimit(Resource::RLIMIT_NOFILE).unwrap();
+    if hard < DESCRIPTORS {
+        return left_out(&format!("a hard limit of {DESCRIPTORS} file descriptors (it is {hard})"));
+    }
+    let site = Site::claim();
+    let start = Instant::now();
+    let relay = Relay::start(&configuration(&site), site.admin(), Some(DESCRIPTORS));
+    let started = start.elapsed();
+    assert!(started < START_TIME, "ready after {started:?}");
+
+    // The first node of all, and the last.
+    let client = site.client();
+    for (section, node_address) in [(0, 1), (SECTIONS - 1, 125)] {
+        let public = (site.public_address(), start_port(section) + u16::from(node_address)).into();
+        let server = (server_address(&site, section, node_address), 34379).into();
+        exchange(&client, public, &Peer::bind(server), node_address);
+    }
+
+    let (before, from) = (processor_time(&relay), Instant::now());
+    pause(Duration::from_secs(3));
+    let (used, elapsed) = (processor_time(&relay) - before, from.elapsed());
+    assert!(used <= elapsed / 100, "{used:?} of processor time in {elapsed:?} of idling");
+
+    let status = fs::read_to_string(format!("/proc/{}/status", relay.process.id())).unwrap();
+    let memory = status.lines().find(|line| line.starts_with("VmRSS")).unwrap();
+    println!(
+        "8,000 public ports: ready after {started:?}, {memory}, idling {used:?} of {elapsed:?}"
+    );
+    relay.finish();
+}
+
+fn start_port(section: u16) -> u16 {
+    10_000 + 128 * section
+}
+
+/// The first and the last section stand in the site, apart by their node addresses; nobody asks
+/// for the others.
+fn server_address(site: &Site, section: u16, node_address: u8) -> std::net::Ipv4Addr {
+    match section {
+        0 => site.address(node_address),
+        _ => [127, 1, section as u8, node_address].into(),
+    }
+}
+
+fn configuration(site: &Site) -> String {
+    let (public, subnet, admin) = (site.public_address(), site.address(0), site.admin());
+    let mut configuration = format!(
+        "[public]\nlisten = [\"{public}\"]\n[runtime]\nworkers = 2\n[admin]\nlisten = \"{admin}\"\n"
+    );
+    for section in 0..SECTIONS {
+        write!(
+            configuration,
+            "[[udp_range_net]]\nname = \"section-{section}\"\nstart_port = {}\nsubnet = \"{}\"\n\
+             nodes = [\"1-125\"]\nallow = [\"{subnet}/24\"]\n\
+             [[udp_range_net.password]]\nname = \"service\"\nfile = \"service\"\n",
+            start_port(section),
+            server_address(site, section, 0),
+        )
+        .unwrap();
+    }
+    configuration
+}
+
+/// User and system time so far. The kernel counts in hundredths of a second.
+fn processor_time(relay: &Relay) -> Duration {
+    let stat = fs::read_to_string(format!("/proc/{}/stat", relay.process.id())).unwrap();
+    let (_, behind_name) = stat.rsplit_once(')').unwrap();
+    let fields: Vec<_> = behind_name.split_whitespace().collect();
+    let ticks = |field: usize| fields[field].parse::<u32>().unwrap();
+    Duration::from_millis(10) * (ticks(11) + ticks(12))
+}
