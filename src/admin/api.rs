@@ -157,7 +157,7 @@ struct NetState<'a> {
     flows_closed: BTreeMap<&'static str, u64>,
     /// By credential.
     accepted_requests: BTreeMap<&'a str, u64>,
-    kernel_dropped_datagrams: u64,
+    kernel_dropped_datagrams: BTreeMap<&'static str, u64>,
     nodes: Vec<NodeState>,
 }
 
@@ -175,7 +175,7 @@ impl<'a> NetState<'a> {
             flows_opened: totals.flows_opened,
             flows_closed: CloseReason::ALL.into_iter().map(closed).collect(),
             accepted_requests: credentials.zip(totals.accepted.iter().copied()).collect(),
-            kernel_dropped_datagrams: router.kernel_dropped(id),
+            kernel_dropped_datagrams: router.kernel_drops(id).by_cause().into(),
             nodes: mappings_of(table, id).map(|mapping| NodeState::of(router, mapping)).collect(),
         }
     }

@@ -172,7 +172,7 @@ fn nets_show_what_was_counted() {
                 "shutdown": 0,
             },
             "accepted_requests": { "service": 8, "team-b": 0 },
-            "kernel_dropped_datagrams": 0, "nodes": null,
+            "kernel_dropped_datagrams": { "overflow": 0, "prefilter": 0 }, "nodes": null,
         })
     );
     let nothing = json!({

@@ -27,12 +27,15 @@ use crate::wire::Header;
 
 use fault::{Place, Report, line_of};
 use net::Draft;
-use section::Section;
+use section::{LONGEST, Section};
 
 pub use fault::{Fault, Faults, Warning};
-pub use model::{Admin, Config, Runtime};
+pub use model::{Admin, Config, NotAPrefilter, Prefilter, Runtime};
 pub use node_range::{NodeRange, NotANodeRange};
 pub(crate) use secret::read_password;
+
+/// A worker that looks for datagrams longer than that would rather sleep.
+const MOST_BUSY_POLL: Duration = Duration::from_millis(1);
 
 /// Reads a configuration file and the password files that it names.
 pub fn load(path: &Path) -> Result<(Config, Vec<Warning>), Faults> {
@@ -74,8 +77,9 @@ fn read(mut root: Section<'_>) -> Option<Config> {
     let header = protocol(root.key("protocol", "").section());
     let ranges = root.key("udp_range_net", "").sections();
     let servers = root.key("server", "").sections();
-    let limits = limits(root.key("limits", "").section());
-    let runtime = runtime(root.key("runtime", "").section());
+    let mut runtime = Runtime::default();
+    let limits = limits(root.key("limits", "").section(), &mut runtime);
+    read_runtime(root.key("runtime", "").section(), &mut runtime);
     let admin = admin(root.key("admin", "").section());
     root.finish();
 
@@ -123,12 +127,17 @@ fn protocol(mut section: Section<'_>) -> Header {
     header.unwrap_or_default()
 }
 
-fn limits(mut section: Section<'_>) -> Limits {
+fn limits(mut section: Section<'_>, runtime: &mut Runtime) -> Limits {
     let max_flows = section.key("max_flows", "65536");
     let burst = section.key("wrong_password_burst", "10");
     let interval = section.key("wrong_password_interval", "\"6s\"");
+    let prefilter = section.key("prefilter", "\"auto\"");
+    let busy_poll = section.key("busy_poll", "\"50us\"");
     section.finish();
-    let interval = interval.duration(Duration::from_millis(1));
+    let interval = interval.duration(Duration::from_millis(1)..=LONGEST);
+    runtime.prefilter = prefilter.parse().unwrap_or(runtime.prefilter);
+    let busy_poll = busy_poll.duration(Duration::ZERO..=MOST_BUSY_POLL);
+    runtime.busy_poll = busy_poll.unwrap_or(runtime.busy_poll);
     Limits {
         max_flows: max_flows.integer(1..=net::MOST_FLOWS).unwrap_or(65_536),
         wrong_password_burst: burst.integer(1..=u16::MAX).unwrap_or(10),
@@ -136,17 +145,15 @@ fn limits(mut section: Section<'_>) -> Limits {
     }
 }
 
-fn runtime(mut section: Section<'_>) -> Runtime {
+fn read_runtime(mut section: Section<'_>, runtime: &mut Runtime) {
     let workers = section.key("workers", "2");
     let receive_buffer = section.key("receive_buffer", "1048576");
     let drain = section.key("drain", "\"5s\"");
     section.finish();
-    let default = Runtime::default();
-    Runtime {
-        workers: workers.integer(1..=256).and_then(NonZeroUsize::new),
-        receive_buffer: receive_buffer.integer(4096..=1 << 30).unwrap_or(default.receive_buffer),
-        drain: drain.duration(Duration::ZERO).unwrap_or(default.drain),
-    }
+    runtime.workers = workers.integer(1..=256).and_then(NonZeroUsize::new);
+    let receive_buffer = receive_buffer.integer(4096..=1 << 30);
+    runtime.receive_buffer = receive_buffer.unwrap_or(runtime.receive_buffer);
+    runtime.drain = drain.duration(Duration::ZERO..=LONGEST).unwrap_or(runtime.drain);
 }
 
 fn admin(mut section: Section<'_>) -> Option<Admin> {

@@ -3,6 +3,7 @@
 
 use std::net::{IpAddr, SocketAddr};
 use std::num::NonZeroUsize;
+use std::str::FromStr;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -26,17 +27,56 @@ pub struct Config {
 /// How the process runs.
 #[derive(Clone, Debug)]
 pub struct Runtime {
-    /// Worker threads; none: one a core.
+    /// Worker threads; none: one for each two cores, whose other half the kernel's own work takes.
     pub workers: Option<NonZeroUsize>,
     /// Octets of receive buffer to ask the kernel for, for each socket.
     pub receive_buffer: usize,
     /// How long a stopping router waits for answers that are still due.
     pub drain: Duration,
+    /// When the kernel refuses on the public sockets what cannot pass.
+    pub prefilter: Prefilter,
+    /// How long a worker looks for the next datagram before it sleeps; zero: not at all.
+    pub busy_poll: Duration,
+}
+
+/// When the kernel refuses on the public sockets what cannot pass, instead of the worker.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Prefilter {
+    /// On a socket that is flooded, as long as it is.
+    Auto,
+    /// From the start on.
+    Always,
+    /// Never.
+    Off,
+}
+
+/// A text that names none of the ways to prefilter.
+#[derive(Debug, thiserror::Error)]
+#[error("choose \"auto\", \"always\" or \"off\"")]
+pub struct NotAPrefilter;
+
+impl FromStr for Prefilter {
+    type Err = NotAPrefilter;
+
+    fn from_str(text: &str) -> Result<Self, NotAPrefilter> {
+        match text {
+            "auto" => Ok(Self::Auto),
+            "always" => Ok(Self::Always),
+            "off" => Ok(Self::Off),
+            _ => Err(NotAPrefilter),
+        }
+    }
 }
 
 impl Default for Runtime {
     fn default() -> Self {
-        Self { workers: None, receive_buffer: 1 << 20, drain: Duration::from_secs(5) }
+        Self {
+            workers: None,
+            receive_buffer: 1 << 20,
+            drain: Duration::from_secs(5),
+            prefilter: Prefilter::Auto,
+            busy_poll: Duration::ZERO,
+        }
     }
 }
 

@@ -14,7 +14,7 @@ use crate::relay::{Credential, Net, NetKind};
 use super::fault::Place;
 use super::node_range::NodeRange;
 use super::secret::password_file;
-use super::section::{Entry, Section};
+use super::section::{Entry, LONGEST, Section};
 
 /// Where a server takes packages without a password (PAS 5.2.3, `p-net-local`).
 const NORMAL_PORT: u16 = 34378;
@@ -291,7 +291,8 @@ fn network(entry: &Entry<'_>) -> Option<IpNet> {
 }
 
 fn idle_timeout(entry: &Entry<'_>) -> Duration {
-    let timeout = entry.duration(Duration::from_millis(1)).unwrap_or(Duration::from_secs(300));
+    let timeout =
+        entry.duration(Duration::from_millis(1)..=LONGEST).unwrap_or(Duration::from_secs(300));
     if timeout < SHORT_IDLE_TIMEOUT {
         entry.warn(
             format!("{} is short: answers may be lost", humantime::format_duration(timeout)),

@@ -15,7 +15,7 @@ use toml::de::{DeInteger, DeTable, DeValue};
 use super::fault::{Place, Report};
 
 /// The longest time a setting can name: far beyond use, and safe to add to a clock.
-const LONGEST: Duration = Duration::from_secs(24 * 60 * 60);
+pub(super) const LONGEST: Duration = Duration::from_secs(24 * 60 * 60);
 
 /// A table of the file, or one that is left out and so has no keys.
 #[derive(Debug)]
@@ -133,12 +133,12 @@ impl<'a> Entry<'a> {
         number
     }
 
-    /// A time from `shortest` to a day, written like "5m".
-    pub(super) fn duration(&self, shortest: Duration) -> Option<Duration> {
+    /// A time within bounds, written like "5m".
+    pub(super) fn duration(&self, bounds: RangeInclusive<Duration>) -> Option<Duration> {
         let duration = self.parse_with(humantime::parse_duration)?;
-        if duration < shortest || duration > LONGEST {
+        if !bounds.contains(&duration) {
             let [found, shortest, longest] =
-                [duration, shortest, LONGEST].map(humantime::format_duration);
+                [duration, *bounds.start(), *bounds.end()].map(humantime::format_duration);
             let remedy = format!("choose a time from {shortest} to {longest}");
             self.fault(format!("{found} is out of bounds"), remedy);
             return None;

@@ -7,6 +7,7 @@
 use prometheus::proto::{Bucket, Counter, Gauge, Histogram, LabelPair, Metric, MetricType};
 
 use super::totals::{DirectionTotals, NetTotals, NodeTotals};
+use crate::net::KernelDrops;
 use crate::relay::{CloseReason, Direction, Net, RESPONSE_BUCKETS};
 
 /// A family of which each net has samples.
@@ -25,7 +26,8 @@ pub(super) struct NetSums<'a> {
     pub(super) nodes: Vec<(String, NodeTotals)>,
     /// The net itself; none for strays, which belong to no net.
     pub(super) net: Option<(&'a Net, NetTotals)>,
-    pub(super) kernel_dropped: u64,
+    /// Asks the kernel about every public socket of the net, so only when it is wanted.
+    pub(super) kernel_drops: Box<dyn Fn() -> KernelDrops + 'a>,
     /// The router's start as Unix time, in seconds.
     pub(super) started_at: f64,
 }
@@ -103,9 +105,10 @@ pub(super) const NET_FAMILIES: &[NetFamily] = &[
     },
     NetFamily {
         name: "pnet_nat_kernel_dropped_datagrams_total",
-        help: "Datagrams that the kernel dropped because a public socket's buffer was full.",
+        help: "Datagrams that the kernel dropped on public sockets: overflow, a buffer was full; \
+               prefilter, the same while the prefilter was on, or refused by it.",
         kind: MetricType::COUNTER,
-        samples: |sums| of_net(sums, |labels, _, _| vec![counter(labels, sums.kernel_dropped)]),
+        samples: kernel_drops,
     },
 ];
 
@@ -170,6 +173,13 @@ fn flows_closed(sums: &NetSums<'_>) -> Vec<Metric> {
             counter(&[label, ("reason", reason.label())], totals.flows_closed(reason))
         };
         CloseReason::ALL.map(sample).into()
+    })
+}
+
+fn kernel_drops(sums: &NetSums<'_>) -> Vec<Metric> {
+    of_net(sums, |&[label], _, _| {
+        let causes = (sums.kernel_drops)().by_cause();
+        causes.map(|(cause, drops)| counter(&[label, ("cause", cause)], drops)).into()
     })
 }
 

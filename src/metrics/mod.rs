@@ -22,7 +22,7 @@ use prometheus::proto::{Metric, MetricFamily, MetricType};
 
 use self::families::{NET_FAMILIES, NetFamily, NetSums, ROUTER_FAMILIES, RouterFamily};
 use self::totals::{NetTotals, NodeTotals, mappings_of, net_ids};
-use crate::net::Router;
+use crate::net::{KernelDrops, Router};
 use crate::relay::NetId;
 
 /// The format of [`Metrics::chunks`].
@@ -87,7 +87,7 @@ impl Metrics {
             label: &net.name,
             nodes: mappings_of(table, id).map(node).collect(),
             net: Some((net, NetTotals::of_net(workers, table, id))),
-            kernel_dropped: self.router.kernel_dropped(id),
+            kernel_drops: Box::new(move || self.router.kernel_drops(id)),
             started_at: self.started_at,
         }
     }
@@ -98,7 +98,7 @@ impl Metrics {
             label: STRAY_NET,
             nodes: vec![(STRAY_NODE.to_owned(), strays)],
             net: None,
-            kernel_dropped: 0,
+            kernel_drops: Box::new(KernelDrops::default),
             started_at: self.started_at,
         }
     }

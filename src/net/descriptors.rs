@@ -33,16 +33,18 @@ pub struct TooFewDescriptors {
 }
 
 /// Raises the soft limit to the hard one and divides it. Without a wish for a number of workers
-/// there is one a core, or as many as the limit allows.
+/// there is one for each two cores, or as many as the limit allows: the kernel's path of a datagram
+/// takes more time than the worker's, and wants cores too.
 pub(super) fn plan(
     addresses: usize,
     workers: Option<NonZeroUsize>,
 ) -> Result<Plan, TooFewDescriptors> {
-    divide(addresses, workers, cores(), raise_limit())
+    divide(addresses, workers, half_the_cores(), raise_limit())
 }
 
-fn cores() -> NonZeroUsize {
-    thread::available_parallelism().unwrap_or(NonZeroUsize::MIN)
+fn half_the_cores() -> NonZeroUsize {
+    let cores = thread::available_parallelism().map_or(1, NonZeroUsize::get);
+    NonZeroUsize::new(cores / 2).unwrap_or(NonZeroUsize::MIN)
 }
 
 fn raise_limit() -> usize {
@@ -54,13 +56,13 @@ fn raise_limit() -> usize {
 fn divide(
     addresses: usize,
     wish: Option<NonZeroUsize>,
-    cores: NonZeroUsize,
+    usual: NonZeroUsize,
     limit: usize,
 ) -> Result<Plan, TooFewDescriptors> {
     let each = addresses + FOR_A_WORKER;
     let fitting = limit.saturating_sub(RESERVE) / each;
     let workers = wish
-        .unwrap_or_else(|| cores.min(NonZeroUsize::new(fitting).unwrap_or(NonZeroUsize::MIN)))
+        .unwrap_or_else(|| usual.min(NonZeroUsize::new(fitting).unwrap_or(NonZeroUsize::MIN)))
         .get();
     let needed = RESERVE + workers * each;
     if needed > limit {
@@ -80,7 +82,7 @@ mod tests {
     }
 
     #[test]
-    fn every_core_gets_a_worker_when_the_limit_allows() {
+    fn all_the_usual_workers_when_the_limit_allows() {
         let plan = divide(8000, None, n(2), 20_000).unwrap();
         assert_eq!(plan, Plan { workers: 2, upstreams: 1934 });
         assert!(RESERVE + 2 * (8000 + 2 + plan.upstreams) <= 20_000);

@@ -4,7 +4,10 @@
 mod address;
 #[allow(unsafe_code)]
 mod batch;
+mod busy;
 mod descriptors;
+mod prefilter;
+mod public;
 mod router;
 #[allow(unsafe_code)]
 mod socket;
@@ -12,4 +15,5 @@ mod steer;
 mod worker;
 
 pub use descriptors::TooFewDescriptors;
+pub use public::KernelDrops;
 pub use router::{Router, StartError};

@@ -13,12 +13,13 @@ use std::time::{Duration, Instant};
 
 use nix::sys::eventfd::{EfdFlags, EventFd};
 
-use crate::config::Config;
+use crate::config::{Config, Prefilter};
 use crate::relay::{Core, Counters, FlowRecord, MappingId, NetId, Rules};
 
 use super::descriptors::{self, Plan, TooFewDescriptors};
+use super::public::{KernelDrops, PublicSocket};
 use super::socket;
-use super::worker::{Command, Parts, PublicSocket, Worker};
+use super::worker::{Command, Parts, Worker};
 
 /// How long a worker may take to tell its flows.
 const ANSWER_TIME: Duration = Duration::from_secs(1);
@@ -150,14 +151,10 @@ impl Router {
         self.started
     }
 
-    /// Datagrams that the kernel dropped on a net's public sockets, because a buffer was full or
-    /// memory short.
-    pub fn kernel_dropped(&self, net: NetId) -> u64 {
-        let mappings = self.config.table.mappings();
-        let of_net = |public: &&PublicSocket| mappings[public.mapping.0 as usize].net == net;
-        let sockets = self.public.iter().flat_map(|sockets| sockets.iter()).filter(of_net);
-        // A figure that cannot be read is left out; the next scrape tries again.
-        sockets.filter_map(|public| socket::kernel_drops(&public.socket).ok()).map(u64::from).sum()
+    /// Datagrams that the kernel dropped on a net's public sockets.
+    pub fn kernel_drops(&self, net: NetId) -> KernelDrops {
+        let sockets = self.public.iter().flat_map(|sockets| sockets.iter());
+        sockets.filter(|public| public.net == net).map(PublicSocket::drops).sum()
     }
 
     /// Up to `limit` open flows. Asks the workers, and waits for them a second at most.
@@ -189,7 +186,8 @@ impl Router {
             public: Arc::clone(&self.public[index]),
             table: Arc::clone(&self.config.table),
             upstream_limit: plan.upstreams,
-            receive_buffer: self.config.runtime.receive_buffer,
+            runtime: self.config.runtime.clone(),
+            started: self.started,
             commands: inbox,
             wake,
         })
@@ -216,7 +214,12 @@ fn bind(config: &Config, workers: usize) -> Result<Vec<Arc<[PublicSocket]>>, Sta
                 .map_err(|error| StartError::listen(listen, error))?;
             for (worker, socket) in public.iter_mut().zip(sockets) {
                 granted = granted.min(socket::receive_buffer(&socket).unwrap_or(granted));
-                worker.push(PublicSocket { socket, mapping: id, address });
+                let socket = PublicSocket::new(socket, id, &config.table, address);
+                if config.runtime.prefilter == Prefilter::Always {
+                    let on = socket.filter(true, &config.table);
+                    on.map_err(|error| StartError::Listen(listen, error))?;
+                }
+                worker.push(socket);
             }
         }
     }

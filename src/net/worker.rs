@@ -5,7 +5,6 @@
 //! starve the others, nor the responses.
 
 use std::io;
-use std::net::IpAddr;
 use std::os::fd::{AsFd, BorrowedFd};
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, SyncSender};
@@ -15,12 +14,16 @@ use nix::sys::epoll::{Epoll, EpollCreateFlags, EpollEvent, EpollFlags, EpollTime
 use nix::sys::eventfd::EventFd;
 use socket2::Socket;
 
+use crate::config::{Prefilter, Runtime};
 use crate::relay::{
-    Arrival, CloseReason, Core, Direction, FlowRecord, ListenerId, Mapping, MappingId, Shell,
-    Table, UpstreamId,
+    Arrival, CloseReason, Core, Direction, FlowRecord, ListenerId, Mapping, Shell, Table,
+    UpstreamId,
 };
 
 use super::batch::{Batch, Tag};
+use super::busy::BusyPoll;
+use super::prefilter::{self, FloodWatch};
+use super::public::PublicSocket;
 use super::socket;
 
 /// How often flows are looked through for idle ones.
@@ -31,15 +34,6 @@ const DRAIN_TICK: Duration = Duration::from_millis(20);
 const COMPLAINT_INTERVAL: Duration = Duration::from_secs(10);
 /// Ready sockets taken from the kernel at once.
 const EVENTS: usize = 256;
-
-/// A public socket of one worker.
-#[derive(Debug)]
-pub(super) struct PublicSocket {
-    pub socket: Socket,
-    pub mapping: MappingId,
-    /// The configured address; unspecified when the socket serves all of the host's.
-    pub address: IpAddr,
-}
 
 /// What a worker is asked to do.
 pub(super) enum Command {
@@ -53,6 +47,8 @@ pub(super) enum Command {
 pub(super) struct Worker {
     core: Core,
     public: Arc<[PublicSocket]>,
+    /// Of each public socket.
+    watches: Box<[FloodWatch]>,
     sockets: Sockets,
     batch: Batch,
     commands: Receiver<Command>,
@@ -60,6 +56,13 @@ pub(super) struct Worker {
     next_tick: Instant,
     wake: Arc<EventFd>,
     complaints: Complaints,
+    floods: Complaints,
+    /// Public sockets on which the prefilter was turned on.
+    filtered: usize,
+    busy: BusyPoll,
+    prefilter: Prefilter,
+    table: Arc<Table>,
+    started: Instant,
 }
 
 /// What opens and closes with the flows: the core's [`Shell`].
@@ -95,7 +98,8 @@ pub(super) struct Parts {
     pub public: Arc<[PublicSocket]>,
     pub table: Arc<Table>,
     pub upstream_limit: usize,
-    pub receive_buffer: usize,
+    pub runtime: Runtime,
+    pub started: Instant,
     pub commands: Receiver<Command>,
     pub wake: Arc<EventFd>,
 }
@@ -109,18 +113,25 @@ impl Worker {
         }
         Ok(Self {
             core: parts.core,
+            watches: parts.public.iter().map(|_| FloodWatch::default()).collect(),
             public: parts.public,
             sockets: Sockets {
                 epoll,
                 upstream: Vec::new(),
                 open: 0,
                 limit: parts.upstream_limit,
-                receive_buffer: parts.receive_buffer,
-                table: parts.table,
+                receive_buffer: parts.runtime.receive_buffer,
+                table: Arc::clone(&parts.table),
                 complaints: Complaints::default(),
             },
             wake: parts.wake,
             complaints: Complaints::default(),
+            floods: Complaints::default(),
+            filtered: 0,
+            busy: BusyPoll::new(parts.runtime.busy_poll),
+            prefilter: parts.runtime.prefilter,
+            table: parts.table,
+            started: parts.started,
             batch: Batch::new(),
             commands: parts.commands,
             drain_until: None,
@@ -149,8 +160,10 @@ impl Worker {
             }
             self.flush();
             let now = Instant::now();
+            self.busy.note(now, ready);
             if now >= self.next_tick {
                 self.core.expire(now, &mut self.sockets);
+                self.end_floods();
                 self.next_tick = now + TICK;
             }
             if let Some(end) = self.drain_until
@@ -163,8 +176,9 @@ impl Worker {
 
     fn time_out(&self) -> EpollTimeout {
         let wait = match self.drain_until {
+            _ if self.busy.goes_on() => Duration::ZERO,
             Some(_) => DRAIN_TICK,
-            None if self.core.is_idle() => return EpollTimeout::NONE,
+            None if self.core.is_idle() && self.filtered == 0 => return EpollTimeout::NONE,
             None => TICK,
         };
         EpollTimeout::try_from(wait).unwrap_or(EpollTimeout::ZERO)
@@ -179,6 +193,7 @@ impl Worker {
             0
         });
         let now = Instant::now();
+        let mut spared = 0;
         for index in 0..received {
             let Some(incoming) = self.batch.incoming(index) else { continue };
             let arrival = Arrival {
@@ -189,12 +204,19 @@ impl Worker {
             };
             let (slot, octets) = (incoming.slot, incoming.octets.len());
             let verdict = self.core.request(now, &arrival, incoming.octets, &mut self.sockets);
-            if let Ok(to) = verdict {
-                let tag = Tag { mapping: public.mapping, direction: Direction::Request, octets };
-                self.batch.queue(slot, Place::Upstream(to.via).key(), None, to.server, tag);
+            match verdict {
+                Ok(to) => {
+                    let (mapping, direction) = (public.mapping, Direction::Request);
+                    let tag = Tag { mapping, direction, octets };
+                    self.batch.queue(slot, Place::Upstream(to.via).key(), None, to.server, tag);
+                }
+                Err(reason) => spared += usize::from(prefilter::spares(reason)),
             }
         }
         self.batch.keep(received);
+        if spared > 0 && self.prefilter == Prefilter::Auto {
+            self.watch(id, now, spared);
+        }
     }
 
     fn take_responses(&mut self, id: UpstreamId) {
@@ -216,6 +238,46 @@ impl Worker {
             }
         }
         self.batch.keep(received);
+    }
+
+    /// Turns the prefilter on where a flood has begun.
+    fn watch(&mut self, id: ListenerId, now: Instant, spared: usize) {
+        let public = &self.public[id.0 as usize];
+        let watch = &mut self.watches[id.0 as usize];
+        if public.is_filtered() || !watch.flooded(now - self.started, spared) {
+            return;
+        }
+        match public.filter(true, &self.table) {
+            Ok(()) => {
+                self.filtered += 1;
+                if self.floods.due(now) {
+                    let mapping = self.table.mapping(public.mapping);
+                    let net = &self.table.net(mapping.net).name;
+                    tracing::warn!(net, public_port = mapping.public_port, "flood: prefilter on");
+                }
+            }
+            Err(error) => self.complaints.note(&error, "cannot turn the prefilter on"),
+        }
+    }
+
+    /// Turns the prefilter off where the flood is over.
+    fn end_floods(&mut self) {
+        if self.filtered == 0 {
+            return;
+        }
+        let filtered = self.public.iter().zip(&mut self.watches);
+        for (public, watch) in filtered.filter(|(public, _)| public.is_filtered()) {
+            if !watch.over(public.drops().prefilter) {
+                continue;
+            }
+            match public.filter(false, &self.table) {
+                Ok(()) => self.filtered -= 1,
+                Err(error) => self.complaints.note(&error, "cannot turn the prefilter off"),
+            }
+        }
+        if self.filtered == 0 {
+            tracing::info!("floods are over: prefilter off");
+        }
     }
 
     fn make_room(&mut self) {
@@ -348,11 +410,18 @@ impl Shell for Sockets {
 
 impl Complaints {
     fn note(&mut self, error: &io::Error, what: &'static str) {
-        let now = Instant::now();
-        if self.last.is_none_or(|last| now - last >= COMPLAINT_INTERVAL) {
-            self.last = Some(now);
+        if self.due(Instant::now()) {
             tracing::warn!(%error, "{what}");
         }
+    }
+
+    /// Whether one may be told now.
+    fn due(&mut self, now: Instant) -> bool {
+        let due = self.last.is_none_or(|last| now - last >= COMPLAINT_INTERVAL);
+        if due {
+            self.last = Some(now);
+        }
+        due
     }
 }
 

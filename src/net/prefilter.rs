@@ -1,0 +1,419 @@
+//! The kernel's part of the checks: a classic BPF program on a public socket refuses what cannot
+//! pass, before it is queued, copied, or wakes the worker.
+//!
+//! It looks at lengths, header and password, never at who sent a datagram, and never refuses what
+//! the relay would accept: what it cannot decide it lets through. It needs no privilege.
+
+use std::io;
+use std::time::Duration;
+
+use libc::{
+    BPF_ABS, BPF_ADD, BPF_ALU, BPF_AND, BPF_B, BPF_IMM, BPF_IND, BPF_JA, BPF_JEQ, BPF_JGE, BPF_JGT,
+    BPF_JMP, BPF_JSET, BPF_K, BPF_LD, BPF_LDX, BPF_LEN, BPF_MEM, BPF_MISC, BPF_RET, BPF_ST,
+    BPF_SUB, BPF_TAX, BPF_W, BPF_X,
+};
+use socket2::{SockFilter, Socket};
+
+use crate::relay::{DropReason, Net, NetId, Table};
+use crate::wire::{self, Header, Password};
+
+/// More passwords than that are not compared in the kernel: a program's jumps reach 255 steps.
+const MOST_PASSWORDS: usize = 40;
+
+/// Offset of the datagram in what the program sees, which begins with the UDP header.
+const DATAGRAM: u32 = 8;
+const ROUTE: u32 = DATAGRAM + Header::LEN as u32;
+/// Data-field-format: behind the route and control-status, both of which it is counted from.
+const DATA_FIELD_FORMAT: u32 = ROUTE + 1;
+/// Control-status and data-field-format.
+const CONTROL: u32 = 2;
+const PASSWORD: u32 = Password::LEN as u32;
+
+/// Bit 8 of a route octet: a source.
+const SOURCE: u32 = 0x80;
+/// Bits of the data-field-format that count data octets.
+const DATA_SIZE: u32 = 0x3f;
+
+/// Has the kernel refuse on this socket what its net would refuse.
+pub(super) fn attach(socket: &Socket, table: &Table, net: NetId) -> io::Result<()> {
+    socket.attach_filter(&program(table.header, table.net(net)))
+}
+
+/// Lets everything through again.
+pub(super) fn detach(socket: &Socket) -> io::Result<()> {
+    socket.detach_filter()
+}
+
+/// Whether the prefilter would have spared the worker a datagram that was dropped for this reason.
+/// Most that are throttled go on to carry a wrong password.
+pub(super) fn spares(reason: DropReason) -> bool {
+    match reason {
+        DropReason::TooShort
+        | DropReason::TooLong
+        | DropReason::BadHeader
+        | DropReason::BadLength
+        | DropReason::PasswordMissing
+        | DropReason::Throttled
+        | DropReason::PasswordWrong => true,
+        DropReason::BadRoute
+        | DropReason::RouteFormat
+        | DropReason::SourceNotAllowed
+        | DropReason::Broadcast
+        | DropReason::NodeMismatch
+        | DropReason::FlowLimit
+        | DropReason::UpstreamExhausted
+        | DropReason::SendFailed
+        | DropReason::UnknownFlow
+        | DropReason::PasswordMismatch => false,
+    }
+}
+
+/// Watches one public socket for a flood, to tell when the prefilter pays.
+#[derive(Debug, Default)]
+pub(super) struct FloodWatch {
+    /// Which tenth of a second it is, since the router's start.
+    window: u64,
+    /// Datagrams in this window that the prefilter would have spared.
+    spared: usize,
+    /// Datagrams that the kernel had refused at the last look.
+    refused: u64,
+    quiet_looks: u32,
+}
+
+impl FloodWatch {
+    /// So many in a tenth of a second are a flood.
+    const FLOOD: usize = 100;
+    /// Fewer between two looks are quiet,
+    const QUIET: u64 = 100;
+    /// and so many quiet looks are peace. The worker looks about once a second.
+    const QUIET_LOOKS: u32 = 10;
+
+    /// Notes `spared` more datagrams, and tells whether a flood has begun.
+    pub(super) fn flooded(&mut self, since_start: Duration, spared: usize) -> bool {
+        let window = since_start.as_millis() as u64 / 100;
+        if window != self.window {
+            (self.window, self.spared) = (window, 0);
+        }
+        self.spared += spared;
+        self.spared >= Self::FLOOD
+    }
+
+    /// Takes the kernel's figure, and tells whether the flood is over.
+    pub(super) fn over(&mut self, refused: u64) -> bool {
+        let new = refused - std::mem::replace(&mut self.refused, refused);
+        self.quiet_looks = if new < Self::QUIET { self.quiet_looks + 1 } else { 0 };
+        let over = self.quiet_looks >= Self::QUIET_LOOKS;
+        if over {
+            (self.quiet_looks, self.spared) = (0, 0);
+        }
+        over
+    }
+}
+
+/// Where a step leads. By name until the whole program is known.
+#[derive(Clone, Copy)]
+enum To {
+    Next,
+    /// So many steps behind the next one.
+    Skip(u8),
+    Accept,
+    Refuse,
+}
+
+/// A program in the making.
+#[derive(Default)]
+struct Program(Vec<(u32, u32, To, To)>);
+
+impl Program {
+    fn step(&mut self, code: u32, k: u32) {
+        self.0.push((code, k, To::Next, To::Next));
+    }
+
+    /// Goes on one way where a comparison of the accumulator with `k` holds, and another where not.
+    fn compare(&mut self, comparison: u32, k: u32, holds: To, fails: To) {
+        self.0.push((BPF_JMP | comparison | BPF_K, k, holds, fails));
+    }
+
+    /// The program with its two ends.
+    fn finish(self) -> Vec<SockFilter> {
+        let refuse = self.0.len();
+        let target = |place: usize, to: To| match to {
+            To::Next => 0,
+            To::Skip(steps) => steps,
+            To::Refuse => (refuse - place - 1) as u8,
+            To::Accept => (refuse - place) as u8,
+        };
+        let steps = self.0.iter().enumerate().map(|(place, &(code, k, holds, fails))| {
+            SockFilter::new(code as u16, target(place, holds), target(place, fails), k)
+        });
+        let end = |octets| SockFilter::new((BPF_RET | BPF_K) as u16, 0, 0, octets);
+        steps.chain([end(0), end(u32::MAX)]).collect()
+    }
+}
+
+fn program(header: Header, net: &Net) -> Vec<SockFilter> {
+    let shortest =
+        if net.allow_without_password { wire::MIN_DATAGRAM } else { wire::MIN_SECURE_DATAGRAM };
+    let mut program = Program::default();
+    // Length of the datagram; kept in M[0].
+    program.step(BPF_LD | BPF_W | BPF_LEN, 0);
+    program.step(BPF_ALU | BPF_SUB | BPF_K, DATAGRAM);
+    program.compare(BPF_JGE, shortest as u32, To::Next, To::Refuse);
+    program.compare(BPF_JGT, wire::MAX_DATAGRAM as u32, To::Refuse, To::Next);
+    program.step(BPF_ST, 0);
+    // Header.
+    program.step(BPF_LD | BPF_W | BPF_ABS, DATAGRAM);
+    program.compare(BPF_JEQ, u32::from_be_bytes(header.0), To::Next, To::Refuse);
+    // Two destinations; then two sources (Extended), or the remaining-route-length (IP).
+    for octet in 0..2 {
+        program.step(BPF_LD | BPF_B | BPF_ABS, ROUTE + octet);
+        program.compare(BPF_JSET, SOURCE, To::Refuse, To::Next);
+    }
+    program.step(BPF_LD | BPF_B | BPF_ABS, ROUTE + 2);
+    program.compare(BPF_JSET, SOURCE, To::Skip(4), To::Next);
+    // IP: the length of the route goes to X.
+    program.compare(BPF_JGT, (wire::MAX_ROUTE - 3) as u32, To::Refuse, To::Next);
+    program.step(BPF_ALU | BPF_ADD | BPF_K, 3);
+    program.step(BPF_MISC | BPF_TAX, 0);
+    program.step(BPF_JMP | BPF_JA, 3);
+    // Extended: likewise.
+    program.step(BPF_LD | BPF_B | BPF_ABS, ROUTE + 3);
+    program.compare(BPF_JSET, SOURCE, To::Next, To::Refuse);
+    program.step(BPF_LDX | BPF_IMM, 4);
+    // Header, route, control and data octets; in X, as the offset of what follows them.
+    program.step(BPF_LD | BPF_B | BPF_IND, DATA_FIELD_FORMAT);
+    program.step(BPF_ALU | BPF_AND | BPF_K, DATA_SIZE);
+    program.step(BPF_ALU | BPF_ADD | BPF_X, 0);
+    program.step(BPF_ALU | BPF_ADD | BPF_K, Header::LEN as u32 + CONTROL);
+    program.step(BPF_MISC | BPF_TAX, 0);
+    // What follows is a password, or nothing where that is allowed.
+    program.step(BPF_LD | BPF_MEM, 0);
+    program.step(BPF_ALU | BPF_SUB | BPF_X, 0);
+    if net.allow_without_password {
+        program.compare(BPF_JEQ, 0, To::Accept, To::Next);
+    }
+    if net.credentials.len() > MOST_PASSWORDS {
+        program.compare(BPF_JEQ, PASSWORD, To::Accept, To::Refuse);
+        return program.finish();
+    }
+    program.compare(BPF_JEQ, PASSWORD, To::Next, To::Refuse);
+    for credential in &net.credentials {
+        let [a, b, c, d, e, f, g, h] = *credential.password.octets();
+        program.step(BPF_LD | BPF_W | BPF_IND, DATAGRAM);
+        program.compare(BPF_JEQ, u32::from_be_bytes([a, b, c, d]), To::Next, To::Skip(2));
+        program.step(BPF_LD | BPF_W | BPF_IND, DATAGRAM + 4);
+        program.compare(BPF_JEQ, u32::from_be_bytes([e, f, g, h]), To::Accept, To::Next);
+    }
+    // No password fits: on to the end that refuses.
+    program.finish()
+}
+
+#[cfg(test)]
+mod tests {
+    use std::net::{Ipv4Addr, UdpSocket};
+    use std::sync::Arc;
+    use std::time::{Duration, Instant};
+
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::relay::{
+        Arrival, CloseReason, Core, Counters, Credential, FlowRecord, Limits, ListenerId, Mapping,
+        MappingId, NetKind, Rules, Shell, ToServer, UpstreamId,
+    };
+
+    fn net(passwords: &[[u8; 8]], allow_without_password: bool) -> Net {
+        let credential = |password: &[u8; 8]| Credential {
+            name: "service".into(),
+            password: Password::new(*password),
+            device_password: None,
+        };
+        Net {
+            name: "section-1".into(),
+            kind: NetKind::UdpRange { start_port: 40_000 },
+            allow: vec!["0.0.0.0/0".parse().unwrap()],
+            credentials: passwords.iter().map(credential).collect(),
+            allow_without_password,
+            require_response_password: false,
+            idle_timeout: Duration::from_secs(300),
+            max_flows: 10,
+        }
+    }
+
+    /// The kernel's own word: whether a datagram gets through to a socket with the program.
+    struct Gate {
+        inside: UdpSocket,
+        outside: UdpSocket,
+    }
+
+    impl Gate {
+        fn new(net: &Net) -> Self {
+            let inside = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0)).unwrap();
+            let outside = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0)).unwrap();
+            outside.connect(inside.local_addr().unwrap()).unwrap();
+            inside.set_nonblocking(true).unwrap();
+            let inside = Socket::from(inside);
+            inside.attach_filter(&program(Header::default(), net)).unwrap();
+            Self { inside: inside.into(), outside }
+        }
+
+        fn lets_through(&self, octets: &[u8]) -> bool {
+            self.outside.send(octets).unwrap();
+            let mut buffer = [0; 256];
+            // On loopback a datagram has arrived, or not, when its send returns.
+            self.inside.recv(&mut buffer).is_ok_and(|len| buffer[..len] == *octets)
+        }
+    }
+
+    /// The relay's own word, in user space.
+    struct Judge {
+        core: Core,
+        arrival: Arrival,
+    }
+
+    struct NoSockets;
+
+    impl Shell for NoSockets {
+        fn open_upstream(&mut self, _: UpstreamId, _: bool) -> Option<u16> {
+            Some(50_000)
+        }
+        fn close_upstream(&mut self, _: UpstreamId) {}
+        fn flow_opened(&mut self, _: &FlowRecord) {}
+        fn flow_closed(&mut self, _: &FlowRecord, _: CloseReason) {}
+    }
+
+    impl Judge {
+        fn new(net: &Net) -> Self {
+            let server = "172.17.17.4:34379".parse().unwrap();
+            let mapping = Mapping { net: NetId(0), node_address: 4, public_port: 40_004, server };
+            let table = Table::new(Header::default(), vec![net.clone()], vec![mapping]);
+            let limits = Limits {
+                max_flows: 1,
+                wrong_password_burst: u16::MAX,
+                wrong_password_interval: Duration::from_nanos(1),
+            };
+            let rules = Rules::new(Arc::new(table), limits);
+            let counters = Arc::new(Counters::new(&rules.table));
+            let core = Core::new(rules, counters, Instant::now(), fastrand::Rng::new());
+            let arrival = Arrival {
+                listener: ListenerId(0),
+                mapping: MappingId(0),
+                public_address: Ipv4Addr::LOCALHOST.into(),
+                client: "127.0.0.1:1".parse().unwrap(),
+            };
+            Self { core, arrival }
+        }
+
+        fn judge(&mut self, octets: &[u8]) -> Result<ToServer, DropReason> {
+            let mut octets = octets.to_vec();
+            self.core.request(Instant::now(), &self.arrival, &mut octets, &mut NoSockets)
+        }
+    }
+
+    /// Figure 10's route, `len` data octets, and a tail.
+    fn request(len: u8, tail: &[u8]) -> Vec<u8> {
+        let mut octets = vec![2, 0, 0, 0, 0x0B, 4, 5, 2, 0x21, 0x8B, 0x83, 0x9F, 2, len];
+        octets.extend((0..len).collect::<Vec<_>>());
+        octets.extend(tail);
+        octets
+    }
+
+    #[test]
+    fn a_flood_begins_within_a_tenth_of_a_second_and_ends_after_ten_quiet_looks() {
+        let mut watch = FloodWatch::default();
+        let tenth = |n: u64| Duration::from_millis(100 * n);
+        for n in 0..50 {
+            assert!(!watch.flooded(tenth(n), 99), "990 a second are none");
+        }
+        assert!(watch.flooded(tenth(49), 1));
+        let mut refused = 0;
+        let mut look = |new| {
+            refused += new;
+            watch.over(refused)
+        };
+        assert!((0..9).all(|_| !look(99)) && !look(100) && (0..9).all(|_| !look(0)));
+        assert!(look(0));
+        assert!(!watch.flooded(tenth(49), 99));
+    }
+
+    #[test]
+    fn refuses_what_cannot_pass_and_lets_requests_through() {
+        let gate = Gate::new(&net(&[*b"PNETPASS", *b"password"], false));
+        for len in [0, 1, 2, 3, 16, 63] {
+            assert!(gate.lets_through(&request(len, b"PNETPASS")));
+            assert!(gate.lets_through(&request(len, b"password")));
+            for tail in [&b""[..], b"PNETPASX", b"XNETPASS", b"PNETword", b"PNETPASS ", b"PNETPAS"]
+            {
+                assert!(!gate.lets_through(&request(len, tail)), "{tail:?}");
+            }
+        }
+        let extended = [&[2, 0, 0, 0, 1, 4, 0x81, 0x83, 2, 0][..], b"PNETPASS"].concat();
+        assert!(gate.lets_through(&extended));
+        let simple = [&[2, 0, 0, 0, 4, 0x83, 2, 0][..], b"PNETPASS"].concat();
+        assert!(!gate.lets_through(&simple));
+        assert!(!gate.lets_through(&[]));
+        assert!(!gate.lets_through(&[0xff; 128]));
+        assert!(!gate.lets_through(&[[3].as_slice(), &request(3, b"PNETPASS")[1..]].concat()));
+    }
+
+    #[test]
+    fn without_a_password_where_the_net_allows_it() {
+        let gate = Gate::new(&net(&[*b"PNETPASS"], true));
+        assert!(gate.lets_through(&request(3, b"")));
+        assert!(gate.lets_through(&request(3, b"PNETPASS")));
+        assert!(!gate.lets_through(&request(3, b"password")));
+    }
+
+    #[test]
+    fn more_passwords_than_a_program_holds_are_left_to_the_worker() {
+        let passwords: Vec<_> = (0..=MOST_PASSWORDS as u64).map(u64::to_be_bytes).collect();
+        let gate = Gate::new(&net(&passwords, false));
+        assert!(gate.lets_through(&request(3, &passwords[MOST_PASSWORDS])));
+        assert!(gate.lets_through(&request(3, b"whatever")));
+        assert!(!gate.lets_through(&request(3, b"")));
+        let gate = Gate::new(&net(&passwords[1..], false));
+        assert!(gate.lets_through(&request(3, &passwords[MOST_PASSWORDS])));
+        assert!(!gate.lets_through(&request(3, b"whatever")));
+    }
+
+    /// Octets that are nearly a request, so that many are one.
+    fn nearly_a_request() -> impl Strategy<Value = Vec<u8>> {
+        let routes = prop_oneof![
+            Just(vec![0x0B, 4, 5, 2, 0x21, 0x8B, 0x83, 0x9F]),
+            Just(vec![0x0B, 4, 0x8B, 0x83]),
+            Just(vec![0x0B, 4, 2, 0x8B, 0x83]),
+            prop::collection::vec(any::<u8>(), 2..31),
+        ];
+        let tails =
+            prop_oneof![Just(b"PNETPASS".to_vec()), prop::collection::vec(any::<u8>(), 0..10)];
+        let data = prop::collection::vec(any::<u8>(), 0..64);
+        let slip = prop::option::of((0..8_usize, any::<u8>()));
+        (routes, data, any::<u8>(), tails, slip).prop_map(|(route, data, flags, tail, slip)| {
+            let format = (flags & 0xc0) | data.len() as u8;
+            let mut octets = [&[2, 0, 0, 0][..], &route, &[flags, format], &data, &tail].concat();
+            if let Some((place, octet)) = slip {
+                octets[place] = octet;
+            }
+            octets
+        })
+    }
+
+    proptest! {
+        #[test]
+        fn never_refuses_what_the_relay_accepts(
+            octets in prop_oneof![4 => nearly_a_request(), 1 => prop::collection::vec(any::<u8>(), 0..130)],
+            allow_without_password in any::<bool>(),
+        ) {
+            let net = net(&[*b"PNETPASS", *b"password"], allow_without_password);
+            let verdict = Judge::new(&net).judge(&octets);
+            let through = Gate::new(&net).lets_through(&octets);
+            match verdict {
+                Ok(_) => prop_assert!(through, "accepted by the relay, refused by the kernel"),
+                // The rest it decides as the relay does.
+                Err(DropReason::BadRoute | DropReason::RouteFormat | DropReason::BadLength
+                    | DropReason::Broadcast | DropReason::NodeMismatch) => {}
+                Err(reason) => prop_assert!(!through, "{reason:?} let through"),
+            }
+        }
+    }
+}
