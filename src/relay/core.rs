@@ -23,8 +23,8 @@ use super::table::MappingId;
 use super::throttle::Throttle;
 use super::upstream::{Owner, UpstreamId, Upstreams};
 
-/// A request that waited unanswered for longer is taken as lost: no answer is due any more, and the
-/// response time of the next one counts from the request after it.
+/// A request that waited unanswered for longer is taken as lost: its answer is not due any more, and
+/// the response time of the next one counts from the request after it.
 const LOST_AFTER: Duration = Duration::from_secs(10);
 
 /// The same for all workers, whose sketches are merged. A stranger who makes sources collide only
@@ -279,8 +279,10 @@ impl Core {
             None => self.open(now, arrival, credential, shell)?,
         };
         let flow = &mut self.flows[id.key()];
-        let due = if now - flow.last_used < LOST_AFTER { flow.due } else { 0 };
-        flow.due = due.saturating_add(1);
+        if flow.due == 0 || now - flow.due_since >= LOST_AFTER {
+            (flow.due, flow.due_since) = (0, now);
+        }
+        flow.due = flow.due.saturating_add(1);
         flow.last_used = now;
         flow.credential = credential;
         flow.unanswered = flow.unanswered.filter(|&since| now - since < LOST_AFTER).or(Some(now));
@@ -368,6 +370,7 @@ impl Core {
             last_used: now,
             unanswered: None,
             due: 0,
+            due_since: now,
         });
         shell.flow_opened(&flow.record(now));
         self.by_endpoints.insert(flow.endpoints, id);

@@ -47,9 +47,10 @@ pub(super) struct Flow {
     pub last_used: Instant,
     /// The oldest request that has no answer yet.
     pub unanswered: Option<Instant>,
-    /// Answers that may still come. One that was lost looks like one that is late, so this is an
-    /// upper bound.
+    /// Answers that may still come, to requests since `due_since`. One that was lost looks like one
+    /// that is late, so this is an upper bound.
     pub due: u32,
+    pub due_since: Instant,
 }
 
 /// What logs and the API tell of a flow.
