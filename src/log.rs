@@ -5,7 +5,7 @@
 
 use std::io::{self, IsTerminal};
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use tokio::time::{self, MissedTickBehavior};
 use tracing::{Level, warn};
@@ -67,6 +67,7 @@ pub struct Noise {
     router: Arc<Router>,
     /// Dropped up to the end of the last window, by net and reason.
     reported: Vec<[u64; DropReason::COUNT]>,
+    window_began: Instant,
 }
 
 impl Noise {
@@ -77,7 +78,7 @@ impl Noise {
     pub fn new(router: Arc<Router>) -> Self {
         let nets = net_ids(&router.config().table);
         let reported = nets.map(|net| dropped(&router, net)).collect();
-        Self { router, reported }
+        Self { router, reported, window_began: Instant::now() }
     }
 
     /// Reports at the end of each window, for ever.
@@ -87,25 +88,31 @@ impl Noise {
         window.tick().await;
         loop {
             window.tick().await;
-            self.report();
+            self.report(Self::WINDOW);
         }
     }
 
+    /// Reports what the window that has begun holds so far: the last one.
+    pub fn report_rest(&mut self) {
+        self.report(self.window_began.elapsed());
+    }
+
     /// Ends the window: writes its lines.
-    pub fn report(&mut self) {
+    fn report(&mut self, window: Duration) {
+        self.window_began = Instant::now();
         for net in net_ids(&self.router.config().table) {
             let dropped = dropped(&self.router, net);
             let reported = std::mem::replace(&mut self.reported[usize::from(net.0)], dropped);
             for reason in reasons() {
                 let count = dropped[reason as usize] - reported[reason as usize];
                 if count > 0 {
-                    self.line(net, reason, count);
+                    self.line(net, reason, count, window);
                 }
             }
         }
     }
 
-    fn line(&self, net: NetId, reason: DropReason, count: u64) {
+    fn line(&self, net: NetId, reason: DropReason, count: u64, window: Duration) {
         let workers = self.router.counters().iter();
         let sketches = workers.map(|worker| worker.net(net).sources(reason));
         let estimate = SourceSketch::take_estimate(sketches);
@@ -117,7 +124,7 @@ impl Noise {
             _ => format!("{sources} sources"),
         };
         let net = &self.router.config().table.net(net).name;
-        let (what, seconds) = (reason.counted(count), Self::WINDOW.as_secs());
+        let (what, seconds) = (reason.counted(count), window.as_secs_f64().round());
         warn!(
             %net, reason = %reason.label(), count, sources,
             "{what} from {from} in {seconds} s"
@@ -163,7 +170,7 @@ mod tests {
             .without_time()
             .with_writer(move || Lines(writer.clone()))
             .finish();
-        tracing::subscriber::with_default(subscriber, || noise.report());
+        tracing::subscriber::with_default(subscriber, || noise.report(Noise::WINDOW));
         let written = String::from_utf8(written.lock().unwrap().clone()).unwrap();
         written.lines().map(|line| serde_json::from_str(line).unwrap()).collect()
     }

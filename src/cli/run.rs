@@ -7,6 +7,7 @@ use std::sync::Arc;
 
 use anyhow::Context;
 use tokio::net::TcpListener;
+use tokio::signal::unix::{SignalKind, signal};
 use tokio::sync::Notify;
 
 use super::signals::Signals;
@@ -80,9 +81,17 @@ fn relay(router: Arc<Router>, admin: Option<StdListener>) -> anyhow::Result<Exit
             None => None,
         };
         announce(&router);
+        let mut hangup = signal(SignalKind::hangup())?;
+        let ignoring_hangups = async {
+            while hangup.recv().await.is_some() {
+                tracing::warn!("SIGHUP ignored; restart to bring a new configuration into force");
+            }
+            std::future::pending().await
+        };
         tokio::select! {
             name = signals.next() => tracing::info!(signal = name, "stopping"),
             never = noise.run() => never,
+            never = ignoring_hangups => never,
         }
         let draining = Arc::clone(&router);
         let drained = tokio::task::spawn_blocking(move || draining.shut_down());
@@ -93,7 +102,7 @@ fn relay(router: Arc<Router>, admin: Option<StdListener>) -> anyhow::Result<Exit
                 return Ok(ExitCode::FAILURE);
             }
         }
-        noise.report();
+        noise.report_rest();
         stopped.notify_one();
         if let Some(serving) = serving {
             serving.await?;

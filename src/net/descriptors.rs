@@ -69,6 +69,14 @@ fn divide(
         let public_sockets = workers * addresses;
         return Err(TooFewDescriptors { public_sockets, workers, needed, limit });
     }
+    if wish.is_none() && workers < usual.get() {
+        tracing::warn!(
+            workers,
+            usual = usual.get(),
+            limit,
+            "the hard limit of file descriptors allows fewer workers than usual"
+        );
+    }
     let upstreams = (limit - RESERVE) / workers - addresses - 2;
     Ok(Plan { workers, upstreams })
 }

@@ -253,7 +253,7 @@ impl Worker {
                 if self.floods.due(now) {
                     let mapping = self.table.mapping(public.mapping);
                     let net = &self.table.net(mapping.net).name;
-                    tracing::warn!(net, public_port = mapping.public_port, "flood: prefilter on");
+                    tracing::warn!(%net, public_port = mapping.public_port, "flood: prefilter on");
                 }
             }
             Err(error) => self.complaints.note(&error, "cannot turn the prefilter on"),
@@ -380,12 +380,12 @@ impl Shell for Sockets {
     fn flow_opened(&mut self, flow: &FlowRecord) {
         let (net, credential, mapping) = self.names(flow);
         tracing::info!(
-            net,
+            %net,
             node = mapping.node_address,
             client = %flow.client,
             public_address = %flow.public_address,
             public_port = mapping.public_port,
-            credential,
+            %credential,
             upstream_port = flow.upstream_port,
             "flow opened"
         );
@@ -394,12 +394,12 @@ impl Shell for Sockets {
     fn flow_closed(&mut self, flow: &FlowRecord, reason: CloseReason) {
         let (net, credential, mapping) = self.names(flow);
         tracing::info!(
-            net,
+            %net,
             node = mapping.node_address,
             client = %flow.client,
             public_address = %flow.public_address,
             public_port = mapping.public_port,
-            credential,
+            %credential,
             upstream_port = flow.upstream_port,
             reason = reason.label(),
             age_seconds = flow.age.as_secs(),
