@@ -1,5 +1,8 @@
 //! Datagrams in and out in batches, through recvmmsg and sendmmsg.
 //!
+//! The system calls are made directly: the C library would make each a cancellation point, which
+//! costs as much as all of the relay's own work on a datagram.
+//!
 //! The receive buffer is the send buffer: what was received stays in its slot until it has been
 //! sent on. A message header's pointers are set right before the call that follows them.
 
@@ -17,7 +20,7 @@ const SLOT: usize = 128;
 /// Datagrams held between two sends.
 const SLOTS: usize = 512;
 /// Datagrams taken from one socket before the next one has its turn.
-const AT_ONCE: usize = 64;
+pub(super) const AT_ONCE: usize = 32;
 
 #[derive(Clone, Copy)]
 #[repr(align(64))]
@@ -89,7 +92,7 @@ impl Batch {
         self.used + AT_ONCE > SLOTS
     }
 
-    /// Takes what waits on a socket, up to 64 datagrams, and returns how many. 0 when none waits.
+    /// Takes what waits on a socket, up to [`AT_ONCE`] datagrams, and returns how many.
     pub(super) fn receive(&mut self, socket: BorrowedFd<'_>) -> io::Result<usize> {
         for (place, slot) in (self.used..self.used + AT_ONCE).enumerate() {
             let part = &mut self.parts[place];
@@ -103,24 +106,29 @@ impl Batch {
             header.msg_control = self.controls[slot].as_mut_ptr();
             header.msg_controllen = Control::CAPACITY as _;
         }
-        // SAFETY: there are AT_ONCE headers, whose pointers and lengths have just been set to slots
-        // of boxed slices that `self` owns; `self` is borrowed exclusively during the call.
-        let received = unsafe {
-            libc::recvmmsg(
-                socket.as_raw_fd(),
-                self.headers.as_mut_ptr(),
-                AT_ONCE as libc::c_uint,
-                libc::MSG_DONTWAIT,
-                std::ptr::null_mut(),
-            )
-        };
-        if let Ok(received) = usize::try_from(received) {
-            return Ok(received);
-        }
-        let error = io::Error::last_os_error();
-        match error.kind() {
-            io::ErrorKind::WouldBlock | io::ErrorKind::Interrupted => Ok(0),
-            _ => Err(error),
+        loop {
+            // SAFETY: there are AT_ONCE headers, whose pointers and lengths have just been set to
+            // slots of boxed slices that `self` owns; `self` is borrowed exclusively during the
+            // call.
+            let received = unsafe {
+                libc::syscall(
+                    libc::SYS_recvmmsg,
+                    socket.as_raw_fd(),
+                    self.headers.as_mut_ptr(),
+                    AT_ONCE,
+                    libc::MSG_DONTWAIT,
+                    std::ptr::null_mut::<libc::timespec>(),
+                )
+            };
+            if let Ok(received) = usize::try_from(received) {
+                return Ok(received);
+            }
+            let error = io::Error::last_os_error();
+            match error.kind() {
+                io::ErrorKind::WouldBlock => return Ok(0),
+                io::ErrorKind::Interrupted => {} // to miss what is there is to miss it for good
+                _ => return Err(error),
+            }
         }
     }
 
@@ -209,10 +217,11 @@ fn send(
         // boxed slices of the batch, which it borrows exclusively for the whole call. A part's
         // length is the datagram's, which fits its slot since it was received into it.
         let sent = unsafe {
-            libc::sendmmsg(
+            libc::syscall(
+                libc::SYS_sendmmsg,
                 socket.as_raw_fd(),
                 rest.as_mut_ptr(),
-                rest.len() as libc::c_uint,
+                rest.len(),
                 libc::MSG_DONTWAIT,
             )
         };

@@ -1,7 +1,7 @@
 //! One worker: its public sockets, its upstream sockets, its core.
 //!
 //! A wake-up takes what is ready, at most one batch a socket, lets the core judge it, and sends
-//! what may pass. The kernel hands ready sockets out in turn, so a flood on one port does not
+//! what may pass. A socket that has more waits for its next turn, so a flood on one port does not
 //! starve the others, nor the responses.
 
 use std::io;
@@ -20,7 +20,7 @@ use crate::relay::{
     UpstreamId,
 };
 
-use super::batch::{Batch, Tag};
+use super::batch::{AT_ONCE, Batch, Tag};
 use super::busy::BusyPoll;
 use super::prefilter::{self, FloodWatch};
 use super::public::PublicSocket;
@@ -51,6 +51,9 @@ pub(super) struct Worker {
     watches: Box<[FloodWatch]>,
     sockets: Sockets,
     batch: Batch,
+    /// Sockets that may have more than their last batch. The kernel tells of a socket only when
+    /// something arrives there, so it does not tell of these.
+    unfinished: Vec<Place>,
     commands: Receiver<Command>,
     drain_until: Option<Instant>,
     next_tick: Instant,
@@ -133,6 +136,7 @@ impl Worker {
             table: parts.table,
             started: parts.started,
             batch: Batch::new(),
+            unfinished: Vec::new(),
             commands: parts.commands,
             drain_until: None,
             next_tick: Instant::now(),
@@ -142,6 +146,7 @@ impl Worker {
     /// Relays until told to drain, and drained.
     pub(super) fn run(mut self) {
         let mut events = [EpollEvent::empty(); EVENTS];
+        let mut unfinished = Vec::new();
         loop {
             let ready = match self.sockets.epoll.wait(&mut events, self.time_out()) {
                 Ok(ready) => ready,
@@ -151,13 +156,11 @@ impl Worker {
                     0
                 }
             };
+            std::mem::swap(&mut self.unfinished, &mut unfinished);
             for event in &events[..ready] {
-                match Place::from_key(event.data()) {
-                    Place::Public(id) => self.take_requests(id),
-                    Place::Upstream(id) => self.take_responses(id),
-                    Place::Wake => self.obey(),
-                }
+                self.take(Place::from_key(event.data()));
             }
+            unfinished.drain(..).for_each(|place| self.take(place));
             self.flush();
             let now = Instant::now();
             self.busy.note(now, ready);
@@ -176,7 +179,7 @@ impl Worker {
 
     fn time_out(&self) -> EpollTimeout {
         let wait = match self.drain_until {
-            _ if self.busy.goes_on() => Duration::ZERO,
+            _ if self.busy.goes_on() || !self.unfinished.is_empty() => Duration::ZERO,
             Some(_) => DRAIN_TICK,
             None if self.core.is_idle() && self.filtered == 0 => return EpollTimeout::NONE,
             None => TICK,
@@ -184,8 +187,21 @@ impl Worker {
         EpollTimeout::try_from(wait).unwrap_or(EpollTimeout::ZERO)
     }
 
-    fn take_requests(&mut self, id: ListenerId) {
+    fn take(&mut self, place: Place) {
         self.make_room();
+        let received = match place {
+            Place::Public(_) if self.drain_until.is_some() => return,
+            Place::Public(id) => self.take_requests(id),
+            Place::Upstream(id) => self.take_responses(id),
+            Place::Wake => return self.obey(),
+        };
+        self.batch.keep(received);
+        if received == AT_ONCE {
+            self.unfinished.push(place);
+        }
+    }
+
+    fn take_requests(&mut self, id: ListenerId) -> usize {
         let public = &self.public[id.0 as usize];
         let received = self.batch.receive(public.socket.as_fd());
         let received = received.unwrap_or_else(|error| {
@@ -213,15 +229,14 @@ impl Worker {
                 Err(reason) => spared += usize::from(prefilter::spares(reason)),
             }
         }
-        self.batch.keep(received);
         if spared > 0 && self.prefilter == Prefilter::Auto {
             self.watch(id, now, spared);
         }
+        received
     }
 
-    fn take_responses(&mut self, id: UpstreamId) {
-        self.make_room();
-        let Some(socket) = self.sockets.upstream(id) else { return };
+    fn take_responses(&mut self, id: UpstreamId) -> usize {
+        let Some(socket) = self.sockets.upstream(id) else { return 0 };
         let received = self.batch.receive(socket).unwrap_or_else(|error| {
             self.complaints.note(&error, "cannot receive from the servers");
             0
@@ -237,7 +252,7 @@ impl Worker {
                 self.batch.queue(slot, Place::Public(to.via).key(), from, to.client, tag);
             }
         }
-        self.batch.keep(received);
+        received
     }
 
     /// Turns the prefilter on where a flood has begun.
@@ -447,5 +462,5 @@ impl Place {
 }
 
 fn readable(place: Place) -> EpollEvent {
-    EpollEvent::new(EpollFlags::EPOLLIN, place.key())
+    EpollEvent::new(EpollFlags::EPOLLIN | EpollFlags::EPOLLET, place.key())
 }
