@@ -43,7 +43,7 @@ pub(super) struct Upstreams {
     /// The keys of `sockets`, dense, to pick from.
     open: Vec<UpstreamId>,
     pairs: HashMap<(UpstreamId, SocketAddr), Pair, RandomState>,
-    homes: HashMap<SocketAddr, Home, RandomState>,
+    homes: HashMap<(SocketAddr, IpAddr), Home, RandomState>,
     /// When the pairs that were given up will have rested, in that order. One that was taken up
     /// again since is still here.
     resting: VecDeque<(Instant, UpstreamId, SocketAddr)>,
@@ -71,7 +71,8 @@ enum PairState {
     RestsUntil(Instant),
 }
 
-/// The socket that a client keeps to.
+/// The socket that a client keeps to, for what it sends to one public address: towards a server, a
+/// client of two needs two.
 #[derive(Debug)]
 struct Home {
     socket: UpstreamId,
@@ -118,7 +119,7 @@ impl Upstreams {
         let place = &mut self.sockets[socket.key()];
         if self.pairs.insert((socket, server), used).is_none() {
             place.pairs += 1;
-            self.homes.entry(owner.client).or_insert(Home { socket, pairs: 0 }).pairs += 1;
+            self.homes.entry(owner.home()).or_insert(Home { socket, pairs: 0 }).pairs += 1;
         }
         Some((socket, place.port))
     }
@@ -141,7 +142,7 @@ impl Upstreams {
             let Some(pair) = self.pairs.get(&(socket, server)).copied() else { continue };
             if pair.state == PairState::RestsUntil(end) {
                 self.pairs.remove(&(socket, server));
-                self.leave_home(pair.owner.client);
+                self.leave_home(pair.owner);
                 self.leave_socket(socket, shell);
             }
         }
@@ -162,14 +163,14 @@ impl Upstreams {
             assert_eq!(pairs, socket.pairs as usize);
             assert!(pairs > 0, "a socket that nothing needs is closed");
         }
-        for (client, home) in &self.homes {
-            let pairs = self.pairs.values().filter(|pair| pair.owner.client == *client).count();
+        for (key, home) in &self.homes {
+            let pairs = self.pairs.values().filter(|pair| pair.owner.home() == *key).count();
             assert_eq!(pairs, home.pairs as usize);
         }
     }
 
     fn home(&self, owner: Owner, server: SocketAddr) -> Option<UpstreamId> {
-        let home = self.homes.get(&owner.client)?;
+        let home = self.homes.get(&owner.home())?;
         self.may_use(home.socket, owner, server).then_some(home.socket)
     }
 
@@ -201,11 +202,11 @@ impl Upstreams {
             })
     }
 
-    fn leave_home(&mut self, client: SocketAddr) {
-        if let Some(home) = self.homes.get_mut(&client) {
+    fn leave_home(&mut self, owner: Owner) {
+        if let Some(home) = self.homes.get_mut(&owner.home()) {
             home.pairs -= 1;
             if home.pairs == 0 {
-                self.homes.remove(&client);
+                self.homes.remove(&owner.home());
             }
         }
     }
@@ -218,6 +219,13 @@ impl Upstreams {
             self.open.retain(|&id| id != socket);
             shell.close_upstream(socket);
         }
+    }
+}
+
+impl Owner {
+    /// What homes are found by.
+    fn home(self) -> (SocketAddr, IpAddr) {
+        (self.client, self.public_address)
     }
 }
 

@@ -61,9 +61,9 @@ fn a_password_of_7_or_9_octets() {
         ("s3cr3t-A\n", "has a line break after the 8 octets"),
     ] {
         let folder = folder(&site.configuration(&Settings::default()));
-        fs::write(folder.path().join("service"), octets).unwrap();
+        fs::write(folder.path().join("secrets/section-1"), octets).unwrap();
         let stderr = refused(&folder.path().join("pnet-nat.toml"), None);
-        let file = folder.path().join("service");
+        let file = folder.path().join("secrets/section-1");
         let file = file.to_str().unwrap();
         let key = "udp_range_net[0].password[0].file";
         expect_all(&stderr, &["pnet-nat.toml:", key, file, problem, "printf %s 'PASSWORD'"]);

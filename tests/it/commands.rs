@@ -27,7 +27,7 @@ fn a_request_goes_through_the_relay_to_simulated_nodes_and_back() {
         .replace(&format!("allow = [\"{}/24\"]", site.address(0)), "allow = [\"127.0.0.0/8\"]");
     let relay = Relay::start(&configuration, site.admin(), None);
     let folder = folder("");
-    let password = folder.path().join("service");
+    let password = folder.path().join("secrets/section-1");
     let password = password.to_str().unwrap();
 
     let listen = format!("{}-4", site.address(1));

@@ -139,7 +139,7 @@ fn a_server_that_cannot_be_sent_to() {
     let server = format!(
         "[[server]]\nname = \"press\"\npublic_port = 20200\naddress = \"127.255.255.255:34379\"\n\
          node = 4\nallow = [\"{}/24\"]\n\
-         [[server.password]]\nname = \"service\"\nfile = \"service\"",
+         [[server.password]]\nname = \"service\"\nfile = \"secrets/section-1\"",
         site.address(0)
     );
     let relay = site.relay(Settings { sections: &server, ..Settings::default() });

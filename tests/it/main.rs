@@ -5,6 +5,7 @@
 //! needs what the machine lacks says so and is left out; with `PNET_NAT_TESTS=all` it fails.
 
 mod bad_input;
+mod check;
 mod commands;
 mod drops;
 mod harness;

@@ -2,6 +2,8 @@
 
 use std::net::{Ipv4Addr, SocketAddr};
 
+use serde_json::Value;
+
 use crate::harness::{
     DEVICE, FIGURE_10, PASSWORD, Peer, SECOND, Settings, Site, datagram, exchange, pause, request,
     response,
@@ -115,17 +117,25 @@ fn a_node_that_comes_back_is_reached_over_the_same_flow() {
     let relay = site.relay(Settings::default());
     let (client, node) = (site.client(), site.node(4));
     let port = exchange(&client, site.public(4), &node, 4);
+    let other = site.node(3);
+    assert_eq!(exchange(&client, site.public(3), &other, 3), port);
     drop(node);
+    // Held, the relay finds all of them at once, and sends them in one go on one socket.
+    relay.process.hold();
     for _ in 0..3 {
+        client.send(site.public(3), &request(3));
         client.send(site.public(4), &request(4));
     }
-    let other = site.node(3);
-    exchange(&client, site.public(3), &other, 3);
+    relay.process.go_on();
+    for _ in 0..3 {
+        other.expect(&request(3));
+    }
     let node = site.node(4);
     assert_eq!(exchange(&client, site.public(4), &node, 4), port);
     assert_eq!(relay.metrics().sum("pnet_nat_flows_opened_total", &[]), 2);
     relay.expect_drops(&[]);
-    relay.finish();
+    let log = relay.finish();
+    assert_eq!(log.logged("cannot receive from the servers"), [] as [Value; 0]);
 }
 
 /// N-8, RFC 6888 REQ-11.
@@ -170,8 +180,8 @@ fn nothing_is_repeated_and_nothing_answered_by_the_relay_itself() {
 #[test]
 fn a_device_password_is_put_in_and_taken_out_again() {
     let site = Site::claim();
-    let passwords = "[[udp_range_net.password]]\nname = \"service\"\nfile = \"service\"\n\
-                     device_file = \"device\"";
+    let passwords = "[[udp_range_net.password]]\nname = \"service\"\nfile = \"secrets/section-1\"\n\
+                     device_file = \"secrets/section-1-device\"";
     let relay = site.relay(Settings { passwords, ..Settings::default() });
     let (client, node) = (site.client(), site.node(4));
     let asked = |password: &[u8]| datagram(&FIGURE_10, &[1, 2, 3], password);
@@ -195,8 +205,8 @@ fn a_device_password_is_put_in_and_taken_out_again() {
 #[test]
 fn two_passwords_are_valid_and_counted_apart() {
     let site = Site::claim();
-    let passwords = "[[udp_range_net.password]]\nname = \"old\"\nfile = \"service\"\n\
-                     [[udp_range_net.password]]\nname = \"new\"\nfile = \"second\"";
+    let passwords = "[[udp_range_net.password]]\nname = \"old\"\nfile = \"secrets/section-1\"\n\
+                     [[udp_range_net.password]]\nname = \"new\"\nfile = \"secrets/press\"";
     let relay = site.relay(Settings { passwords, ..Settings::default() });
     let (client, node) = (site.client(), site.node(4));
     for password in [PASSWORD, SECOND, SECOND] {
@@ -242,7 +252,7 @@ fn a_single_server_is_reached_on_its_one_port() {
     let server = format!(
         "[[server]]\nname = \"press\"\npublic_port = 20200\naddress = \"{}:34379\"\nnode = 7\n\
          allow = [\"{}/24\"]\n\
-         [[server.password]]\nname = \"service\"\nfile = \"second\"",
+         [[server.password]]\nname = \"service\"\nfile = \"secrets/press\"",
         site.address(7),
         site.address(0)
     );

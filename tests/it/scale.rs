@@ -70,7 +70,7 @@ fn configuration(site: &Site) -> String {
             configuration,
             "[[udp_range_net]]\nname = \"section-{section}\"\nstart_port = {}\nsubnet = \"{}\"\n\
              nodes = [\"1-125\"]\nallow = [\"{subnet}/24\"]\n\
-             [[udp_range_net.password]]\nname = \"service\"\nfile = \"service\"\n",
+             [[udp_range_net.password]]\nname = \"service\"\nfile = \"secrets/section-1\"\n",
             start_port(section),
             server_address(site, section, 0),
         )

@@ -143,7 +143,7 @@ fn a_relay_under_load_ends_within_its_drain_time() {
 fn start_nodes(site: &Site, delay: &str) -> Process {
     let folder = crate::harness::folder("");
     let listen = format!("{}-4", site.address(1));
-    let password = folder.path().join("service");
+    let password = folder.path().join("secrets/section-1");
     let password = password.to_str().unwrap();
     let arguments = ["node", "--listen", &listen, "--password-file", password, "--delay", delay];
     let nodes = Process::start(pnet_nat(&arguments));

@@ -64,9 +64,9 @@ fn a_flow_is_logged_when_it_opens_and_when_it_closes() {
 #[test]
 fn the_api_shows_nets_flows_and_configuration_without_passwords() {
     let site = Site::claim();
-    let passwords = "[[udp_range_net.password]]\nname = \"service\"\nfile = \"service\"\n\
-                     [[udp_range_net.password]]\nname = \"other\"\nfile = \"second\"\n\
-                     device_file = \"device\"";
+    let passwords = "[[udp_range_net.password]]\nname = \"service\"\nfile = \"secrets/section-1\"\n\
+                     [[udp_range_net.password]]\nname = \"other\"\nfile = \"secrets/press\"\n\
+                     device_file = \"secrets/section-1-device\"";
     let relay = site.relay(Settings { passwords, ..Settings::default() });
     let (client, node) = (site.client(), site.node(4));
     let port = exchange(&client, site.public(4), &node, 4);

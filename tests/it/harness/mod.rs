@@ -21,7 +21,7 @@ pub(crate) use octets::{
     DEVICE, FIGURE_10, PASSWORD, PASSWORDS, SECOND, WRONG, datagram, request, response,
 };
 pub(crate) use process::{Process, pnet_nat, pnet_nat_within};
-pub(crate) use relay::{Relay, Settings, folder};
+pub(crate) use relay::{ANNOTATED, Relay, Settings, folder};
 pub(crate) use site::{Peer, Site, exchange};
 
 /// How long something may take that should take no time: a busy machine is not a fault.

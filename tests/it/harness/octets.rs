@@ -3,11 +3,11 @@
 /// R-5, A1.
 const HEADER: [u8; 4] = [0x02, 0, 0, 0];
 
-/// The clients' password, in the file `service` beside every configuration.
+/// The clients' password, in the file `secrets/section-1`.
 pub(crate) const PASSWORD: &[u8; 8] = b"s3cr3t-A";
-/// Another, in the file `second`.
+/// Another, in the file `secrets/press`.
 pub(crate) const SECOND: &[u8; 8] = b"s3cr3t-B";
-/// The servers' own, in the file `device`.
+/// The servers' own, in the file `secrets/section-1-device`.
 pub(crate) const DEVICE: &[u8; 8] = b"d3v1c3-C";
 /// A stranger's guess.
 pub(crate) const WRONG: &[u8; 8] = b"gu3ss3d!";

@@ -1,6 +1,7 @@
 //! The real binary as a process: started, read, signalled, and gone when dropped.
 
-use std::io::{BufRead, BufReader, Read};
+use std::fs::{self, DirEntry};
+use std::io::{self, BufRead, BufReader, Read};
 use std::process::{Child, Command, Stdio};
 use std::sync::{Arc, Mutex};
 use std::thread::{self, JoinHandle};
@@ -66,6 +67,23 @@ impl Process {
 
     pub(crate) fn signal(&self, signal: Signal) {
         kill(Pid::from_raw(self.id() as i32), signal).unwrap();
+    }
+
+    /// Stops every thread of it until it may go on.
+    pub(crate) fn hold(&self) {
+        self.signal(Signal::SIGSTOP);
+        let threads = format!("/proc/{}/task", self.id());
+        let is_held = |thread: io::Result<DirEntry>| {
+            let status = fs::read_to_string(thread.unwrap().path().join("status")).unwrap();
+            status.contains("State:\tT")
+        };
+        eventually("all threads are held", || {
+            fs::read_dir(&threads).unwrap().all(is_held).then_some(())
+        });
+    }
+
+    pub(crate) fn go_on(&self) {
+        self.signal(Signal::SIGCONT);
     }
 
     /// Waits until it has ended and tells its exit code; none when a signal killed it.

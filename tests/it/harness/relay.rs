@@ -4,7 +4,6 @@ use std::collections::BTreeMap;
 use std::fs::{self, Permissions};
 use std::net::SocketAddr;
 use std::os::unix::fs::PermissionsExt;
-use std::path::Path;
 
 use nix::sys::signal::Signal;
 use tempfile::TempDir;
@@ -13,6 +12,9 @@ use super::{
     DEVICE, Metrics, PASSWORD, PASSWORDS, Process, SECOND, Site, eventually, pnet_nat,
     pnet_nat_within,
 };
+
+/// The configuration that users start from.
+pub(crate) const ANNOTATED: &str = include_str!("../../../config/pnet-nat.toml");
 
 const ADMIN_PORT: u16 = 9378;
 
@@ -32,31 +34,33 @@ pub(crate) struct Settings<'a> {
 }
 
 impl Default for Settings<'_> {
-    /// One password, and one worker: what two clients send is then handled in that order.
+    /// One password, and one worker: what two clients send is then handled in that order. The end
+    /// does not wait long for answers that a scenario withheld.
     fn default() -> Self {
         Self {
             net: "",
-            passwords: "[[udp_range_net.password]]\nname = \"service\"\nfile = \"service\"",
-            runtime: "workers = 1",
+            passwords: "[[udp_range_net.password]]\nname = \"service\"\nfile = \"secrets/section-1\"",
+            runtime: "workers = 1\ndrain = \"100ms\"",
             sections: "",
             descriptors: None,
         }
     }
 }
 
-/// A folder with this configuration and the files of all passwords.
+/// A folder with this configuration, `pnet-nat.toml`, and all password files that the annotated one
+/// names.
 pub(crate) fn folder(configuration: &str) -> TempDir {
     let folder = tempfile::tempdir().unwrap();
     fs::write(folder.path().join("pnet-nat.toml"), configuration).unwrap();
-    for (name, password) in [("service", PASSWORD), ("second", SECOND), ("device", DEVICE)] {
-        write_password(&folder.path().join(name), password);
+    fs::create_dir(folder.path().join("secrets")).unwrap();
+    for (name, password) in
+        [("section-1", PASSWORD), ("press", SECOND), ("section-1-device", DEVICE)]
+    {
+        let path = folder.path().join("secrets").join(name);
+        fs::write(&path, password).unwrap();
+        fs::set_permissions(&path, Permissions::from_mode(0o600)).unwrap();
     }
     folder
-}
-
-fn write_password(path: &Path, octets: &[u8]) {
-    fs::write(path, octets).unwrap();
-    fs::set_permissions(path, Permissions::from_mode(0o600)).unwrap();
 }
 
 impl Site {
