@@ -124,7 +124,7 @@ impl Noise {
             _ => format!("{sources} sources"),
         };
         let net = &self.router.config().table.net(net).name;
-        let (what, seconds) = (reason.counted(count), window.as_secs_f64().round());
+        let (what, seconds) = (reason.counted(count), window.as_secs_f64().ceil());
         warn!(
             %net, reason = %reason.label(), count, sources,
             "{what} from {from} in {seconds} s"

@@ -23,6 +23,9 @@ fn start(listen: &str) -> Relay {
 [public]
 listen = {listen}
 
+[limits]
+prefilter = "off" # every datagram is to be counted with its reason
+
 [runtime]
 workers = 2
 drain = "100ms"

@@ -109,12 +109,17 @@ impl Process {
         self.stderr.text.lock().unwrap().clone()
     }
 
-    /// The log lines with this message, oldest first.
-    pub(crate) fn logged(&self, message: &str) -> Vec<Value> {
+    /// The log lines, oldest first.
+    pub(crate) fn log(&self) -> impl Iterator<Item = Value> {
         let stderr = self.stderr();
         let complete = &stderr[..stderr.rfind('\n').map_or(0, |end| end + 1)];
         let lines = complete.lines().map(|line| serde_json::from_str(line).expect(line));
-        lines.filter(|line: &Value| line["message"] == message).collect()
+        lines.collect::<Vec<_>>().into_iter()
+    }
+
+    /// The log lines with this message, oldest first.
+    pub(crate) fn logged(&self, message: &str) -> Vec<Value> {
+        self.log().filter(|line| line["message"] == message).collect()
     }
 }
 

@@ -1,0 +1,97 @@
+//! What a flood does: the kernel takes it over, good clients go on, and it ends.
+
+use crate::harness::{
+    FIGURE_10, Relay, SECOND, Settings, Site, WRONG, datagram, eventually, exchange, request,
+};
+
+const KERNEL: &str = "pnet_nat_kernel_dropped_datagrams_total";
+
+/// Floods one port with wrong passwords and lengths until the prefilter is on.
+fn flood(site: &Site, relay: &Relay) -> u64 {
+    let strangers: Vec<_> = (0..4).map(|_| site.client()).collect();
+    let wrong = datagram(&FIGURE_10, &[1, 2, 3], WRONG);
+    let mut sent = 0;
+    eventually("the kernel refuses", || {
+        for stranger in &strangers {
+            for octets in [&wrong, &vec![0xFF; 40], &wrong, &vec![2, 0, 0, 0]] {
+                stranger.send(site.public(4), octets);
+                sent += 1;
+            }
+        }
+        (relay.metrics().sum(KERNEL, &[("cause", "prefilter")]) > 0).then_some(())
+    });
+    for octets in std::iter::repeat_n(&wrong, 1000) {
+        strangers[0].send(site.public(4), octets);
+        sent += 1;
+    }
+    for stranger in strangers {
+        assert_eq!(stranger.waiting(), None, "a stranger is answered");
+    }
+    sent
+}
+
+#[test]
+fn a_flood_is_refused_by_the_kernel_and_good_clients_go_on() {
+    let site = Site::claim();
+    let relay = site.relay(Settings::default());
+    let (client, node) = (site.client(), site.node(4));
+    exchange(&client, site.public(4), &node, 4);
+
+    let sent = flood(&site, &relay);
+    exchange(&client, site.public(4), &node, 4);
+    // One who comes only now is known by the password alone, like everyone.
+    exchange(&site.client(), site.public(4), &node, 4);
+
+    let metrics = relay.metrics();
+    let seen = metrics.drops().values().sum::<u64>();
+    let refused = metrics.sum(KERNEL, &[("cause", "prefilter")]);
+    assert!(refused >= 1000, "{refused} of {sent}");
+    assert_eq!(seen + refused + metrics.sum(KERNEL, &[("cause", "overflow")]), sent);
+    let log = relay.finish();
+    assert_eq!(log.logged("flood: prefilter on").len(), 1, "{}", log.stderr());
+}
+
+/// With every password of the net, and with a device's own password behind it.
+#[test]
+fn the_prefilter_lets_every_password_of_the_net_through() {
+    let site = Site::claim();
+    let passwords = r#"
+[[udp_range_net.password]]
+name = "service"
+file = "secrets/section-1"
+device_file = "secrets/section-1-device"
+[[udp_range_net.password]]
+name = "second"
+file = "secrets/press"
+"#;
+    let sections = "[limits]\nprefilter = \"always\"";
+    let relay = site.relay(Settings { passwords, sections, ..Settings::default() });
+    let (client, node) = (site.client(), site.node(4));
+    client.send(site.public(4), &request(4));
+    node.receive();
+    client.send(site.public(4), &datagram(&FIGURE_10, &[], SECOND));
+    node.receive();
+    client.send(site.public(4), &datagram(&FIGURE_10, &[], WRONG));
+    eventually("it is refused", || (relay.metrics().sum(KERNEL, &[]) == 1).then_some(()));
+    relay.expect_drops(&[]);
+    relay.finish();
+}
+
+/// Then a mistyped password is told from noise again.
+#[test]
+fn the_prefilter_goes_when_the_flood_is_over() {
+    let site = Site::claim();
+    let relay = site.relay(Settings::default());
+    flood(&site, &relay);
+    eventually("the prefilter is off", || {
+        relay.process.logged("floods are over: prefilter off").pop()
+    });
+    let before = relay.metrics().drops();
+    let stranger = site.client();
+    stranger.send(site.public(4), &datagram(&FIGURE_10, &[], WRONG));
+    let reason = ("request".to_owned(), "password_wrong".to_owned());
+    eventually("it is counted by its reason", || {
+        (relay.metrics().drops()[&reason] == before[&reason] + 1).then_some(())
+    });
+    relay.finish();
+}
