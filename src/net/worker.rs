@@ -16,8 +16,7 @@ use socket2::Socket;
 
 use crate::config::{Prefilter, Runtime};
 use crate::relay::{
-    Arrival, CloseReason, Core, Direction, FlowRecord, ListenerId, Mapping, Shell, Table,
-    UpstreamId,
+    Arrival, CloseReason, Core, Direction, FlowRecord, ListenerId, Shell, Table, UpstreamId,
 };
 
 use super::batch::{AT_ONCE, Batch, Tag};
@@ -362,13 +361,6 @@ impl Sockets {
         self.open += 1;
         Ok(port)
     }
-
-    fn names(&self, flow: &FlowRecord) -> (&str, &str, Mapping) {
-        let mapping = self.table.mapping(flow.mapping);
-        let net = self.table.net(mapping.net);
-        let credential = flow.credential.map_or("", |index| &net.credentials[index].name);
-        (&net.name, credential, mapping)
-    }
 }
 
 impl Shell for Sockets {
@@ -393,34 +385,32 @@ impl Shell for Sockets {
     }
 
     fn flow_opened(&mut self, flow: &FlowRecord) {
-        let (net, credential, mapping) = self.names(flow);
-        tracing::info!(
-            %net,
-            node = mapping.node_address,
-            client = %flow.client,
-            public_address = %flow.public_address,
-            public_port = mapping.public_port,
-            %credential,
-            upstream_port = flow.upstream_port,
-            "flow opened"
-        );
+        log_flow(&self.table, flow, None);
     }
 
     fn flow_closed(&mut self, flow: &FlowRecord, reason: CloseReason) {
-        let (net, credential, mapping) = self.names(flow);
-        tracing::info!(
-            %net,
-            node = mapping.node_address,
-            client = %flow.client,
-            public_address = %flow.public_address,
-            public_port = mapping.public_port,
-            %credential,
-            upstream_port = flow.upstream_port,
-            reason = reason.label(),
-            age_seconds = flow.age.as_secs(),
-            "flow closed"
-        );
+        log_flow(&self.table, flow, Some(reason));
     }
+}
+
+/// N-10: who, by which public port, since when, and by which credential.
+fn log_flow(table: &Table, flow: &FlowRecord, closed: Option<CloseReason>) {
+    let mapping = table.mapping(flow.mapping);
+    let net = table.net(mapping.net);
+    let credential = flow.credential.map(|index| &net.credentials[index].name);
+    tracing::info!(
+        net = %net.name,
+        node = mapping.node_address,
+        client = %flow.client,
+        public_address = %flow.public_address,
+        public_port = mapping.public_port,
+        credential = credential.map(tracing::field::display),
+        upstream_port = flow.upstream_port,
+        reason = closed.map(CloseReason::label),
+        age_seconds = closed.map(|_| flow.age.as_secs()),
+        "flow {}",
+        if closed.is_some() { "closed" } else { "opened" }
+    );
 }
 
 impl Complaints {

@@ -16,12 +16,14 @@ use crate::wire;
 
 use super::check::{self, Request};
 use super::counters::Counters;
-use super::flow::{Endpoints, Flow, FlowId, FlowRecord, ListenerId};
+use super::flow::{Endpoints, Flow, FlowRecord};
+use super::ids::{FlowId, ListenerId, UpstreamId};
 use super::reason::{CloseReason, Direction, DropReason};
-use super::reload::Rules;
+use super::rules::Rules;
+use super::shell::Shell;
 use super::table::MappingId;
 use super::throttle::Throttle;
-use super::upstream::{Owner, UpstreamId, Upstreams};
+use super::upstream::{Owner, Upstreams};
 
 /// A request that waited unanswered for longer is taken as lost: its answer is not due any more, and
 /// the response time of the next one counts from the request after it.
@@ -30,20 +32,6 @@ const LOST_AFTER: Duration = Duration::from_secs(10);
 /// The same for all workers, whose sketches are merged. A stranger who makes sources collide only
 /// makes the log's estimate of their number smaller.
 const SOURCE_HASH: FixedState = FixedState::with_seed(0);
-
-/// What the core asks of the world around it. Called when flows open and close, not for each
-/// datagram.
-pub trait Shell {
-    /// Opens the upstream socket `id` for IPv4 or IPv6 servers and tells its local port; none when
-    /// no socket can be had.
-    fn open_upstream(&mut self, id: UpstreamId, ipv4: bool) -> Option<u16>;
-    /// Closes the upstream socket `id`.
-    fn close_upstream(&mut self, id: UpstreamId);
-    /// A flow was opened (N-10).
-    fn flow_opened(&mut self, flow: &FlowRecord);
-    /// A flow was closed (N-10).
-    fn flow_closed(&mut self, flow: &FlowRecord, reason: CloseReason);
-}
 
 /// How a request arrived.
 #[derive(Clone, Copy, Debug)]

@@ -3,27 +3,8 @@
 use std::net::{IpAddr, SocketAddr};
 use std::time::{Duration, Instant};
 
+use super::ids::{ListenerId, UpstreamId};
 use super::table::MappingId;
-use super::upstream::UpstreamId;
-
-/// Index of a flow.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub(super) struct FlowId(pub u32);
-
-impl FlowId {
-    /// The flow with this key. The budget counts flows in a `u32`, so every key fits.
-    pub(super) fn new(key: usize) -> Self {
-        Self(key as u32)
-    }
-
-    pub(super) fn key(self) -> usize {
-        self.0 as usize
-    }
-}
-
-/// Index of a public socket; the core does not look behind it.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub struct ListenerId(pub u32);
 
 /// What a flow is found by when a request comes: the client's endpoint and the router's.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]

@@ -7,8 +7,11 @@ mod check;
 mod core;
 mod counters;
 mod flow;
+mod ids;
 mod reason;
 mod reload;
+mod rules;
+mod shell;
 #[cfg(test)]
 mod simulation;
 mod sketch;
@@ -17,14 +20,15 @@ mod throttle;
 mod upstream;
 
 pub use budget::FlowBudget;
-pub use core::{Arrival, Core, Shell, ToClient, ToServer};
+pub use core::{Arrival, Core, ToClient, ToServer};
 pub use counters::{
     Counter, Counters, DirectionCounters, NetCounters, NodeCounters, RESPONSE_BUCKETS,
     ResponseTimes,
 };
-pub use flow::{FlowRecord, ListenerId};
+pub use flow::FlowRecord;
+pub use ids::{ListenerId, UpstreamId};
 pub use reason::{CloseReason, Direction, DropReason};
-pub use reload::Rules;
+pub use rules::Rules;
+pub use shell::Shell;
 pub use sketch::SourceSketch;
 pub use table::{Credential, Limits, Mapping, MappingId, Net, NetId, NetKind, Table};
-pub use upstream::UpstreamId;

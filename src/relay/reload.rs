@@ -6,31 +6,14 @@
 use std::sync::Arc;
 use std::time::Instant;
 
-use super::budget::FlowBudget;
-use super::core::{Core, Shell};
+use super::core::Core;
 use super::counters::Counters;
-use super::flow::{Flow, FlowId, ListenerId};
+use super::flow::Flow;
+use super::ids::{FlowId, ListenerId};
 use super::reason::CloseReason;
-use super::table::{Limits, MappingId, Table};
-
-/// What every worker works from; replaced whole by a new configuration.
-#[derive(Clone, Debug)]
-pub struct Rules {
-    /// The NAT table.
-    pub table: Arc<Table>,
-    /// Bounds of the router as a whole.
-    pub limits: Limits,
-    /// Places for flows, shared by all workers.
-    pub budget: Arc<FlowBudget>,
-}
-
-impl Rules {
-    /// Rules with all places for flows free.
-    pub fn new(table: Arc<Table>, limits: Limits) -> Self {
-        let budget = Arc::new(FlowBudget::new(&table, &limits));
-        Self { table, limits, budget }
-    }
-}
+use super::rules::Rules;
+use super::shell::Shell;
+use super::table::{MappingId, Table};
 
 /// Where a flow stands in new rules.
 struct Place {

@@ -14,18 +14,14 @@ use std::time::{Duration, Instant};
 use foldhash::fast::RandomState;
 use slab::Slab;
 
-use super::core::Shell;
-use super::flow::FlowId;
+use super::ids::{FlowId, UpstreamId};
+use super::shell::Shell;
 
 /// How long a pair that a flow gave up is kept from other clients.
 const REST: Duration = Duration::from_secs(120);
 
 /// How many open sockets are tried at random before another is opened.
 const PROBES: usize = 8;
-
-/// Index of an upstream socket.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub struct UpstreamId(pub u32);
 
 /// Whose flow a (socket, server) serves: the client and where it sends to. Answers that come late,
 /// to a flow that was closed and opened again, leave from there too.
@@ -226,11 +222,5 @@ impl Owner {
     /// What homes are found by.
     fn home(self) -> (SocketAddr, IpAddr) {
         (self.client, self.public_address)
-    }
-}
-
-impl UpstreamId {
-    fn key(self) -> usize {
-        self.0 as usize
     }
 }

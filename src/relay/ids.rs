@@ -1,0 +1,30 @@
+//! What the core calls flows and sockets: indices, given out again when they are free.
+
+/// Index of a flow.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub(super) struct FlowId(pub u32);
+
+impl FlowId {
+    /// The flow with this key. The budget counts flows in a `u32`, so every key fits.
+    pub(super) fn new(key: usize) -> Self {
+        Self(key as u32)
+    }
+
+    pub(super) fn key(self) -> usize {
+        self.0 as usize
+    }
+}
+
+/// Index of a public socket; the core does not look behind it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct ListenerId(pub u32);
+
+/// Index of an upstream socket.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct UpstreamId(pub u32);
+
+impl UpstreamId {
+    pub(super) fn key(self) -> usize {
+        self.0 as usize
+    }
+}
