@@ -5,13 +5,17 @@ mod address;
 #[allow(unsafe_code)]
 mod batch;
 mod busy;
+mod complaints;
 mod descriptors;
+mod flood;
+mod place;
 mod prefilter;
 mod public;
 mod router;
 #[allow(unsafe_code)]
 mod socket;
 mod steer;
+mod upstream;
 mod worker;
 
 pub use descriptors::TooFewDescriptors;

@@ -5,7 +5,6 @@
 //! the relay would accept: what it cannot decide it lets through. It needs no privilege.
 
 use std::io;
-use std::time::Duration;
 
 use libc::{
     BPF_ABS, BPF_ADD, BPF_ALU, BPF_AND, BPF_B, BPF_IMM, BPF_IND, BPF_JA, BPF_JEQ, BPF_JGE, BPF_JGT,
@@ -65,48 +64,6 @@ pub(super) fn spares(reason: DropReason) -> bool {
         | DropReason::SendFailed
         | DropReason::UnknownFlow
         | DropReason::PasswordMismatch => false,
-    }
-}
-
-/// Watches one public socket for a flood, to tell when the prefilter pays.
-#[derive(Debug, Default)]
-pub(super) struct FloodWatch {
-    /// Which tenth of a second it is, since the router's start.
-    window: u64,
-    /// Datagrams in this window that the prefilter would have spared.
-    spared: usize,
-    /// Datagrams that the kernel had refused at the last look.
-    refused: u64,
-    quiet_looks: u32,
-}
-
-impl FloodWatch {
-    /// So many in a tenth of a second are a flood.
-    const FLOOD: usize = 100;
-    /// Fewer between two looks are quiet,
-    const QUIET: u64 = 100;
-    /// and so many quiet looks are peace. The worker looks about once a second.
-    const QUIET_LOOKS: u32 = 10;
-
-    /// Notes `spared` more datagrams, and tells whether a flood has begun.
-    pub(super) fn flooded(&mut self, since_start: Duration, spared: usize) -> bool {
-        let window = since_start.as_millis() as u64 / 100;
-        if window != self.window {
-            (self.window, self.spared) = (window, 0);
-        }
-        self.spared += spared;
-        self.spared >= Self::FLOOD
-    }
-
-    /// Takes the kernel's figure, and tells whether the flood is over.
-    pub(super) fn over(&mut self, refused: u64) -> bool {
-        let new = refused - std::mem::replace(&mut self.refused, refused);
-        self.quiet_looks = if new < Self::QUIET { self.quiet_looks + 1 } else { 0 };
-        let over = self.quiet_looks >= Self::QUIET_LOOKS;
-        if over {
-            (self.quiet_looks, self.spared) = (0, 0);
-        }
-        over
     }
 }
 
@@ -316,24 +273,6 @@ mod tests {
         octets.extend((0..len).collect::<Vec<_>>());
         octets.extend(tail);
         octets
-    }
-
-    #[test]
-    fn a_flood_begins_within_a_tenth_of_a_second_and_ends_after_ten_quiet_looks() {
-        let mut watch = FloodWatch::default();
-        let tenth = |n: u64| Duration::from_millis(100 * n);
-        for n in 0..50 {
-            assert!(!watch.flooded(tenth(n), 99), "990 a second are none");
-        }
-        assert!(watch.flooded(tenth(49), 1));
-        let mut refused = 0;
-        let mut look = |new| {
-            refused += new;
-            watch.over(refused)
-        };
-        assert!((0..9).all(|_| !look(99)) && !look(100) && (0..9).all(|_| !look(0)));
-        assert!(look(0));
-        assert!(!watch.flooded(tenth(49), 99));
     }
 
     #[test]

@@ -1,0 +1,158 @@
+//! When a public socket is flooded, and when it is over: then the prefilter goes on and off.
+
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use crate::config::Prefilter;
+use crate::relay::{ListenerId, Table};
+
+use super::complaints::Complaints;
+use super::public::PublicSocket;
+
+/// Turns the prefilter of one worker's public sockets on and off, where that is left to it.
+pub(super) struct FloodGuard {
+    automatic: bool,
+    /// Of each public socket.
+    watches: Box<[FloodWatch]>,
+    /// Sockets on which the prefilter is on.
+    filtered: usize,
+    table: Arc<Table>,
+    started: Instant,
+    notices: Complaints,
+    complaints: Complaints,
+}
+
+impl FloodGuard {
+    pub(super) fn new(
+        prefilter: Prefilter,
+        sockets: usize,
+        table: Arc<Table>,
+        started: Instant,
+    ) -> Self {
+        Self {
+            automatic: prefilter == Prefilter::Auto,
+            watches: (0..sockets).map(|_| FloodWatch::default()).collect(),
+            filtered: 0,
+            table,
+            started,
+            notices: Complaints::default(),
+            complaints: Complaints::default(),
+        }
+    }
+
+    /// Whether no socket needs a [`look`](Self::look).
+    pub(super) fn is_quiet(&self) -> bool {
+        self.filtered == 0
+    }
+
+    /// Notes datagrams that the prefilter would have spared the worker, and turns it on where they
+    /// are a flood.
+    pub(super) fn note(
+        &mut self,
+        id: ListenerId,
+        public: &PublicSocket,
+        now: Instant,
+        spared: usize,
+    ) {
+        let watch = &mut self.watches[id.0 as usize];
+        if !self.automatic
+            || public.is_filtered()
+            || !watch.flooded(now.saturating_duration_since(self.started), spared)
+        {
+            return;
+        }
+        if let Err(error) = public.filter(true, &self.table) {
+            return self.complaints.note(&error, "cannot turn the prefilter on");
+        }
+        self.filtered += 1;
+        if self.notices.due(now) {
+            let net = &self.table.net(public.net).name;
+            let public_port = self.table.mapping(public.mapping).public_port;
+            tracing::warn!(%net, public_port, "flood: prefilter on");
+        }
+    }
+
+    /// Turns the prefilter off where the flood is over. To be called about once a second.
+    pub(super) fn look(&mut self, public: &[PublicSocket]) {
+        if self.is_quiet() {
+            return;
+        }
+        for (public, watch) in public.iter().zip(&mut self.watches) {
+            if !public.is_filtered() || !watch.over(public.drops().prefilter) {
+                continue;
+            }
+            match public.filter(false, &self.table) {
+                Ok(()) => self.filtered -= 1,
+                Err(error) => self.complaints.note(&error, "cannot turn the prefilter off"),
+            }
+        }
+        if self.is_quiet() {
+            tracing::info!("floods are over: prefilter off");
+        }
+    }
+}
+
+/// Watches one public socket for a flood, to tell when the prefilter pays.
+#[derive(Debug, Default)]
+struct FloodWatch {
+    /// Which tenth of a second it is, since the router's start.
+    window: u64,
+    /// Datagrams in this window that the prefilter would have spared.
+    spared: usize,
+    /// Datagrams that the kernel had refused at the last look.
+    refused: u64,
+    quiet_looks: u32,
+}
+
+impl FloodWatch {
+    /// So many in a tenth of a second are a flood.
+    const FLOOD: usize = 100;
+    /// Fewer between two looks are quiet,
+    const QUIET: u64 = 100;
+    /// and so many quiet looks are peace. The worker looks about once a second.
+    const QUIET_LOOKS: u32 = 10;
+
+    /// Notes `spared` more datagrams, and tells whether a flood has begun.
+    fn flooded(&mut self, since_start: Duration, spared: usize) -> bool {
+        let window = since_start.as_millis() as u64 / 100;
+        if window != self.window {
+            (self.window, self.spared) = (window, 0);
+        }
+        self.spared += spared;
+        self.spared >= Self::FLOOD
+    }
+
+    /// Takes the kernel's figure, and tells whether the flood is over.
+    fn over(&mut self, refused: u64) -> bool {
+        let new = refused - std::mem::replace(&mut self.refused, refused);
+        self.quiet_looks = if new < Self::QUIET { self.quiet_looks + 1 } else { 0 };
+        let over = self.quiet_looks >= Self::QUIET_LOOKS;
+        if over {
+            (self.quiet_looks, self.spared) = (0, 0);
+        }
+        over
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_flood_begins_within_a_tenth_of_a_second_and_ends_after_ten_quiet_looks() {
+        let mut watch = FloodWatch::default();
+        let tenth = |n: u64| Duration::from_millis(100 * n);
+        for n in 0..50 {
+            assert!(!watch.flooded(tenth(n), 99), "990 a second are none");
+        }
+        assert!(watch.flooded(tenth(49), 1));
+        let mut refused = 0;
+        let mut look = |new| {
+            refused += new;
+            watch.over(refused)
+        };
+        assert!((0..9).all(|_| !look(99)) && !look(100) && (0..9).all(|_| !look(0)));
+        assert!(look(0));
+        assert!(!watch.flooded(tenth(49), 99));
+    }
+}

@@ -1,0 +1,39 @@
+//! Names for what a worker waits on and sends to, as the 64 bits that epoll and a batch carry.
+
+use nix::sys::epoll::{EpollEvent, EpollFlags};
+
+use crate::relay::{ListenerId, UpstreamId};
+
+/// What an event of epoll, or a datagram to be sent, belongs to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Place {
+    Public(ListenerId),
+    Upstream(UpstreamId),
+    Wake,
+}
+
+const UPSTREAM: u64 = 1 << 32;
+const WAKE: u64 = 1 << 33;
+
+impl Place {
+    pub(super) fn key(self) -> u64 {
+        match self {
+            Self::Public(id) => u64::from(id.0),
+            Self::Upstream(id) => UPSTREAM | u64::from(id.0),
+            Self::Wake => WAKE,
+        }
+    }
+
+    pub(super) fn from_key(key: u64) -> Self {
+        match key {
+            WAKE => Self::Wake,
+            _ if key & UPSTREAM != 0 => Self::Upstream(UpstreamId(key as u32)),
+            _ => Self::Public(ListenerId(key as u32)),
+        }
+    }
+
+    /// To be told when something arrives here, once for each time.
+    pub(super) fn arrivals(self) -> EpollEvent {
+        EpollEvent::new(EpollFlags::EPOLLIN | EpollFlags::EPOLLET, self.key())
+    }
+}
