@@ -8,7 +8,9 @@ use std::path::Path;
 use nix::sys::signal::Signal;
 use socket2::{Domain, Socket, Type};
 
-use crate::harness::{Process, Settings, Site, eventually, folder, pnet_nat, pnet_nat_within};
+use crate::harness::{
+    Process, Settings, Site, close, eventually, folder, pnet_nat, pnet_nat_within,
+};
 
 /// What a relay that refuses to start writes to stderr.
 fn refused(config: &Path, descriptors: Option<u64>) -> String {
@@ -84,7 +86,7 @@ fn a_public_port_in_use() {
     let folder = folder(&configuration);
     let config = folder.path().join("pnet-nat.toml");
     expect_all(&refused(&config, None), &expected);
-    drop(holder);
+    close(holder);
 
     // A program that is willing to share would get some of the clients' datagrams.
     let sharing = Socket::new(Domain::IPV4, Type::DGRAM, None).unwrap();
@@ -92,7 +94,7 @@ fn a_public_port_in_use() {
     sharing.set_reuse_address(true).unwrap();
     sharing.bind(&taken.into()).unwrap();
     expect_all(&refused(&config, None), &expected);
-    drop(sharing);
+    close(sharing);
 
     // Another relay shares among its workers.
     let relay = site.relay(Settings { runtime: "workers = 2", ..Settings::default() });
@@ -110,7 +112,7 @@ fn the_admin_port_in_use() {
     let folder = folder(&site.configuration(&Settings::default()));
     let stderr = refused(&folder.path().join("pnet-nat.toml"), None);
     expect_all(&stderr, &[&site.admin().to_string(), "[admin] listen", "in use"]);
-    drop(holder);
+    close(holder);
     site.relay(Settings::default()).finish();
 }
 

@@ -149,9 +149,8 @@ fn a_server_that_cannot_be_sent_to() {
     client.send(press, &request(4));
     exchange(&client, site.public(4), &node, 4);
     relay.expect_drops(&[("request", "send_failed", 1)]);
-    let complaints = relay.process.logged("cannot send to a server");
-    assert_eq!(complaints.len(), 1, "{complaints:?}");
-    relay.finish();
+    let log = relay.finish();
+    assert_eq!(log.logged("cannot send to a server").len(), 1, "{}", log.stderr());
 }
 
 #[test]

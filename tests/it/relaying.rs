@@ -1,12 +1,12 @@
 //! Requests that may pass, and their answers: where they go, and that they stay what they are.
 
-use std::net::{Ipv4Addr, SocketAddr};
+use std::net::{Ipv4Addr, SocketAddr, UdpSocket};
 
 use serde_json::Value;
 
 use crate::harness::{
-    DEVICE, FIGURE_10, PASSWORD, Peer, SECOND, Settings, Site, datagram, exchange, pause, request,
-    response,
+    DEVICE, FIGURE_10, PASSWORD, Peer, SECOND, Settings, Site, close, datagram, exchange, pause,
+    request, response,
 };
 
 #[test]
@@ -119,7 +119,7 @@ fn a_node_that_comes_back_is_reached_over_the_same_flow() {
     let port = exchange(&client, site.public(4), &node, 4);
     let other = site.node(3);
     assert_eq!(exchange(&client, site.public(3), &other, 3), port);
-    drop(node);
+    close(node);
     // Held, the relay finds all of them at once, and sends them in one go on one socket.
     relay.process.hold();
     for _ in 0..3 {
@@ -297,7 +297,7 @@ fn a_relay_on_every_address_answers_from_the_one_that_was_asked() {
 
 /// Ports that are free on every address: other scenarios have theirs on some from 20000 on.
 fn free_start_port() -> u16 {
-    let free = |port: u16| std::net::UdpSocket::bind((Ipv4Addr::UNSPECIFIED, port)).is_ok();
+    let free = |port: u16| UdpSocket::bind((Ipv4Addr::UNSPECIFIED, port)).map(close).is_ok();
     let mut blocks = (10_000..19_000).step_by(130);
     blocks.find(|start| [1, 2, 3, 4, 33].iter().all(|node| free(start + node))).unwrap()
 }

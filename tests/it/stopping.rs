@@ -94,6 +94,16 @@ fn without_an_answer_due_it_ends_at_once() {
 }
 
 #[test]
+fn a_hangup_does_not_end_it() {
+    let site = Site::claim();
+    let relay = site.relay(Settings::default());
+    let (client, node) = (site.client(), site.node(4));
+    relay.process.signal(Signal::SIGHUP);
+    exchange(&client, site.public(4), &node, 4);
+    relay.finish();
+}
+
+#[test]
 fn a_second_signal_ends_it_at_once() {
     let site = Site::claim();
     let mut relay =

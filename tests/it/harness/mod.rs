@@ -22,7 +22,7 @@ pub(crate) use octets::{
 };
 pub(crate) use process::{Process, pnet_nat, pnet_nat_within};
 pub(crate) use relay::{ANNOTATED, Relay, Settings, folder};
-pub(crate) use site::{Peer, Site, exchange};
+pub(crate) use site::{Peer, Site, close, exchange};
 
 /// How long something may take that should take no time: a busy machine is not a fault.
 pub(crate) const PATIENCE: Duration = Duration::from_secs(20);

@@ -3,10 +3,13 @@
 //! Linux has all of 127/8, so that nodes on their Secure port, relays on their public ports and
 //! admin servers never meet those of another scenario, nor those of another run.
 
+use std::fs;
 use std::io;
 use std::net::{Ipv4Addr, SocketAddr, UdpSocket};
 use std::process;
 use std::sync::atomic::{AtomicU8, AtomicU32, Ordering::Relaxed};
+
+use socket2::Socket;
 
 use super::{PATIENCE, eventually, request, response};
 
@@ -130,6 +133,27 @@ impl Peer {
             waiting => Some(waiting.unwrap()),
         }
     }
+}
+
+impl From<Peer> for Socket {
+    fn from(peer: Peer) -> Self {
+        peer.0.into()
+    }
+}
+
+/// Closes an IPv4 socket of the calling thread's network namespace, and waits until its port is
+/// free: a process that another scenario starts just now has a copy of every socket for a moment.
+pub(crate) fn close(socket: impl Into<Socket>) {
+    let socket = socket.into();
+    let address = socket.local_addr().unwrap().as_socket_ipv4().unwrap();
+    drop(socket);
+    let octets = u32::from_ne_bytes(address.ip().octets());
+    let place = format!(": {octets:08X}:{:04X} ", address.port());
+    let is_free = |table| {
+        let path = format!("/proc/thread-self/net/{table}");
+        !fs::read_to_string(path).unwrap().contains(&place)
+    };
+    eventually("the port is free", || ["udp", "tcp"].into_iter().all(is_free).then_some(()));
 }
 
 /// A request reaches its node and the answer its client, both octet for octet, both as the very
