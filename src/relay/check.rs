@@ -16,6 +16,8 @@ pub(super) struct Request {
     /// Second destination of the route (PAS 7).
     node_address: u8,
     broadcast: bool,
+    /// An answer is to come: the last source is not 0.
+    pub confirmed: bool,
 }
 
 impl Request {
@@ -37,7 +39,8 @@ impl Request {
         }
         // R-43; IPNetID 126 and 127 are reserved too, so no destination is left out.
         let broadcast = route.destinations().any(|element| element >= wire::BNA);
-        Ok(Self { password, node_address, broadcast })
+        let confirmed = route.sources().last() != Some(wire::NCNA);
+        Ok(Self { password, node_address, broadcast, confirmed })
     }
 
     /// Checks that the request is meant for the one node behind its public port.

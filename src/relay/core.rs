@@ -7,7 +7,7 @@ use std::collections::HashMap;
 use std::hash::BuildHasher;
 use std::net::{IpAddr, SocketAddr};
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use foldhash::fast::{FixedState, RandomState};
 use slab::Slab;
@@ -16,7 +16,7 @@ use crate::wire;
 
 use super::check::{self, Request};
 use super::counters::Counters;
-use super::flow::{Endpoints, Flow, FlowRecord};
+use super::flow::{Answers, Endpoints, Flow, FlowRecord};
 use super::ids::{FlowId, ListenerId, UpstreamId};
 use super::reason::{CloseReason, Direction, DropReason};
 use super::rules::Rules;
@@ -24,10 +24,6 @@ use super::shell::Shell;
 use super::table::MappingId;
 use super::throttle::Throttle;
 use super::upstream::{Owner, Upstreams};
-
-/// A request that waited unanswered for longer is taken as lost: its answer is not due any more, and
-/// the response time of the next one counts from the request after it.
-const LOST_AFTER: Duration = Duration::from_secs(10);
 
 /// The same for all workers, whose sketches are merged. A stranger who makes sources collide only
 /// makes the log's estimate of their number smaller.
@@ -187,8 +183,7 @@ impl Core {
 
     /// Whether a request has no answer yet that may still come.
     pub fn awaits_answers(&self, now: Instant) -> bool {
-        let fresh = |flow: &Flow| now.saturating_duration_since(flow.last_used) < LOST_AFTER;
-        self.flows.iter().any(|(_, flow)| flow.due > 0 && fresh(flow))
+        self.flows.iter().any(|(_, flow)| flow.awaits_answers(now))
     }
 
     /// Whether no flow is open and no socket waits to be closed, so that nothing will expire.
@@ -267,13 +262,11 @@ impl Core {
             None => self.open(now, arrival, credential, shell)?,
         };
         let flow = &mut self.flows[id.key()];
-        if flow.due == 0 || now - flow.due_since >= LOST_AFTER {
-            (flow.due, flow.due_since) = (0, now);
-        }
-        flow.due = flow.due.saturating_add(1);
-        flow.last_used = now;
         flow.credential = credential;
-        flow.unanswered = flow.unanswered.filter(|&since| now - since < LOST_AFTER).or(Some(now));
+        if request.confirmed {
+            flow.answers.asked(now);
+        }
+        flow.last_used = now;
         if let Some(index) = credential {
             let net = self.rules.table.net(mapping.net);
             self.counters.net(mapping.net).accepted[usize::from(index)].add(1);
@@ -311,11 +304,10 @@ impl Core {
             (None, _) => {}
         }
         flow.last_used = now; // N-3
-        flow.due = flow.due.saturating_sub(1);
         let node = self.counters.node(flow.mapping);
         node.last_response.set(since(self.start, now));
-        if let Some(asked) = flow.unanswered.take() {
-            node.response_times.observe(now.saturating_duration_since(asked));
+        if let Some(response_time) = flow.answers.came(now) {
+            node.response_times.observe(response_time);
         }
         Ok(ToClient {
             via: flow.endpoints.listener,
@@ -356,9 +348,7 @@ impl Core {
             credential,
             opened: now,
             last_used: now,
-            unanswered: None,
-            due: 0,
-            due_since: now,
+            answers: Answers::new(now),
         });
         shell.flow_opened(&flow.record(now));
         self.by_endpoints.insert(flow.endpoints, id);
