@@ -8,7 +8,8 @@ use std::time::{Duration, Instant};
 use nix::sys::signal::Signal;
 
 use crate::harness::{
-    Peer, Process, Relay, Settings, Site, eventually, exchange, pause, pnet_nat, request, response,
+    PASSWORD, Peer, Process, Relay, Settings, Site, datagram, eventually, exchange, pause,
+    pnet_nat, request, response,
 };
 
 fn is_ready(relay: &Relay) -> Option<bool> {
@@ -43,6 +44,23 @@ fn a_stopping_relay_delivers_the_answers_that_are_due() {
         assert_eq!((node.waiting(), late.waiting()), (None, None), "a new request is refused");
         assert_eq!(relay.process.logged("flow closed").len(), 6);
     }
+}
+
+/// the last source of an unconfirmed request is 0.
+#[test]
+fn no_answer_is_due_to_a_request_that_wants_none() {
+    let site = Site::claim();
+    let mut relay =
+        site.relay(Settings { runtime: "workers = 1\ndrain = \"5s\"", ..Settings::default() });
+    let (client, node) = (site.client(), site.node(4));
+    let unconfirmed =
+        datagram(&[0x0B, 0x04, 0x05, 0x02, 0x21, 0x8B, 0x83, 0x80], &[1, 2, 3], PASSWORD);
+    client.send(site.public(4), &unconfirmed);
+    node.expect(&unconfirmed);
+    let asked = Instant::now();
+    relay.process.signal(Signal::SIGTERM);
+    assert_eq!(relay.process.end(), Some(0));
+    assert!(asked.elapsed() < Duration::from_secs(4), "it waited: {:?}", asked.elapsed());
 }
 
 /// Answers that were asked for on one flow, several at a time, are due each.
