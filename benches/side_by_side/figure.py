@@ -4,8 +4,8 @@ It follows the reader's light or dark setting.
 """
 from math import log10
 
-WIDTH, HEIGHT = 840, 700
-PANEL, GAP, LEFT, TOP, ROW = (340, 150), 60, 70, 50, 215
+WIDTH, HEIGHT = 840, 760
+PANEL, GAP, LEFT, TOP, ROW = (340, 150), 60, 70, 50, 240
 KINDS = (("ports", "public ports (64 flows)"), ("flows", "live flows (125 public ports)"))
 QUANTITIES = (
     ("round trips, thousands a second", lambda point: point["rate"] / 1e3),

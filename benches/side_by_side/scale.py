@@ -49,11 +49,10 @@ def main():
             note(runs, "ports", ports, by_ports(ports, options))
         for sockets, nodes in FLOWS:
             note(runs, "flows", sockets * nodes, by_flows(sockets, nodes, options))
-    points = {key: middle(results) for key, results in runs.items()}
     print(f"{lab.machine()}; medians of {options.rounds} rounds of {options.seconds:g} s\n")
-    print(table(points))
+    print(table(runs))
     with open(options.figure, "w") as file:
-        file.write(figure.draw(points))
+        file.write(figure.draw({key: middle(results) for key, results in runs.items()}))
 
 
 def note(runs, kind, count, result):
@@ -67,17 +66,19 @@ def middle(results):
             for key in ("rate", "cpu_us", "memory", "p50_us", "p99_us", "live")}
 
 
-def table(points):
-    """The numbers; throughput of the flows also as a ratio to that with 64."""
+def table(runs):
+    """The numbers. Ratios are medians of those within each round, for the machine's speed drifts."""
     lines = ["| | live flows | round trips/s | of 64 flows | relay, us each | memory, MB | p50 us | p99 us |",
              "|---|---|---|---|---|---|---|---|"]
-    base = points[("flows", 64)]["rate"]
-    for (kind, count), point in points.items():
-        ratio = f"{point['rate'] / base:.2f}" if kind == "flows" else ""
+    base = runs[("flows", 64)]
+    for (kind, count), results in runs.items():
+        point = middle(results)
+        ratio = median(result["rate"] / of["rate"] for result, of in zip(results, base))
         lines.append(
             f"| {count:,} {kind if count > 1 else kind[:-1]} | {point['live']:,.0f} "
-            f"| {point['rate']:,.0f} | {ratio} | {point['cpu_us']:.2f} "
-            f"| {point['memory'] / 1e6:.1f} | {point['p50_us']:,.0f} | {point['p99_us']:,.0f} |")
+            f"| {point['rate']:,.0f} | {format(ratio, '.2f') if kind == 'flows' else ''} "
+            f"| {point['cpu_us']:.2f} | {point['memory'] / 1e6:.1f} | {point['p50_us']:,.0f} "
+            f"| {point['p99_us']:,.0f} |")
     return "\n".join(lines)
 
 
