@@ -169,6 +169,14 @@ class Load:
         self.process = subprocess.Popen(inside("inet", pinned(cpus, command)), text=True,
                                         stdout=subprocess.PIPE, stderr=subprocess.PIPE)
 
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        if self.process.poll() is None:
+            self.process.kill()
+            self.process.wait()
+
     def wait_for(self, line):
         """Reads on until this line, or the end."""
         while (got := self.process.stdout.readline()) and got.strip() != line:
@@ -201,7 +209,8 @@ def wait_until_ready(system, targets, ports):
     result, end = None, time.monotonic() + 15
     while time.monotonic() < end and not system.has_ended():
         time.sleep(0.2)
-        result = Load("client", targets, options).result()
+        with Load("client", targets, options) as load:
+            result = load.result()
         if result["received"] >= ports and result["lost"] == 0:
             time.sleep(0.3)
             return

@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+from contextlib import ExitStack
 
 import lab
 import report
@@ -67,7 +68,7 @@ def main():
                     with open(options.out, "a") as file:
                         file.write(json.dumps(result) + "\n")
                 print(report.line(result), file=sys.stderr, flush=True)
-    print(f"{lab.machine()}; medians of {options.rounds} rounds of {options.seconds:g} s")
+    print(f"{lab.machine()}; medians of {options.rounds} rounds of {options.seconds:g} s\n")
     show(results, options)
 
 
@@ -127,20 +128,25 @@ def measure(system, scenario, folder, options):
     try:
         targets = system["targets"](site) if "targets" in system else site.targets
         lab.wait_until_ready(running, targets, site.nodes)
-        flood = None
-        if "flood" in scenario:
-            seconds = options.warm_up + options.seconds + 0.5
-            flood = Load("flood", targets, [*scenario["flood"], "--seconds", seconds])
-        time = ["--warm-up", options.warm_up, "--seconds", options.seconds]
-        result = lab.measure(running, Load("client", targets, [*scenario["load"], *time], clients))
-        if flood:
-            result["flood"] = flood.result()
+        result = under_load(running, targets, scenario, clients, options)
         if running.has_ended():
             raise RuntimeError(f"ended during the run: {running.last_words()}")
     finally:
         running.stop()
         counted = nodes.stop()
     return {**result, "wrong_node": counted["wrong_node"]}
+
+
+def under_load(running, targets, scenario, cpus, options):
+    time = ["--warm-up", options.warm_up, "--seconds", options.seconds]
+    with ExitStack() as loads:
+        flood = None
+        if "flood" in scenario:
+            longer = ["--seconds", options.warm_up + options.seconds + 0.5]
+            flood = loads.enter_context(Load("flood", targets, [*scenario["flood"], *longer]))
+        load = Load("client", targets, [*scenario["load"], *time], cpus)
+        result = lab.measure(running, loads.enter_context(load))
+        return {**result, "flood": flood.result()} if flood else result
 
 
 if __name__ == "__main__":

@@ -104,10 +104,10 @@ def run(ports, asked, sockets, per_socket, options):
             try:
                 targets = ",".join(asked)
                 lab.wait_until_ready(relay, asked[0], 1)
-                load = Load("client", targets, [
-                    "--sockets", sockets, "--targets-per-socket", per_socket, *LOAD,
-                    "--warm-up", 1, "--seconds", options.seconds])
-                result = lab.measure(relay, load)
+                load = ["--sockets", sockets, "--targets-per-socket", per_socket, *LOAD,
+                        "--warm-up", 1, "--seconds", options.seconds]
+                with Load("client", targets, load) as load:
+                    result = lab.measure(relay, load)
                 result.update(memory=relay.memory(), live=live_flows())
             finally:
                 relay.stop()
