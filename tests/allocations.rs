@@ -32,14 +32,14 @@ struct Counting;
 
 thread_local! {
     static CALLS: Cell<usize> = const { Cell::new(0) };
-    /// Octets held. Wraps below zero where a thread frees what another one allocated.
-    static HELD: Cell<usize> = const { Cell::new(0) };
+    /// Octets held; below zero where the thread has freed what another one allocated.
+    static HELD: Cell<isize> = const { Cell::new(0) };
 }
 
 fn count(calls: usize, more: usize, less: usize) {
     // At the end of a thread there may be nothing left to count in.
     let _ = CALLS.try_with(|cell| cell.set(cell.get() + calls));
-    let _ = HELD.try_with(|cell| cell.set(cell.get().wrapping_add(more).wrapping_sub(less)));
+    let _ = HELD.try_with(|cell| cell.set(cell.get() + more as isize - less as isize));
 }
 
 // SAFETY: every call goes to the system's allocator unchanged. Counting does not allocate: the
@@ -253,7 +253,7 @@ fn memory_of_100_000_flows() {
     for number in 0..FLOWS {
         rig.open(number, 125);
     }
-    let held = HELD.get() - before;
+    let held = (HELD.get() - before).cast_unsigned();
     println!("memory of {FLOWS} flows: {held} octets, {} a flow", held / FLOWS as usize);
     assert!(held < 600 * FLOWS as usize, "{held} octets");
 
