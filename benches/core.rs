@@ -1,0 +1,184 @@
+//! Nanoseconds a datagram in the codec and in the core, without a socket.
+//!
+//! Each figure is for one datagram, its copy into a buffer included, which is what the kernel does
+//! on the way in. `cargo bench --bench core`; a name behind `--` chooses cases.
+
+mod rig;
+
+use std::hint::black_box;
+
+use criterion::measurement::WallTime;
+use criterion::{BenchmarkGroup, Criterion, Throughput};
+use fastrand::Rng;
+use pnet_nat::relay::DropReason;
+use pnet_nat::wire::{Datagram, Header};
+
+use rig::{
+    DEVICE_PASSWORD, Flow, IDLE_TIMEOUT, PASSWORD, REST, Rig, Site, arrival, client_endpoint,
+    datagram, garbage, largest_request, request, response,
+};
+
+type Group<'a> = BenchmarkGroup<'a, WallTime>;
+
+fn main() {
+    let mut criterion = Criterion::default().configure_from_args();
+    measure(&mut criterion, "parse", parse);
+    measure(&mut criterion, "request", requests);
+    measure(&mut criterion, "response", responses);
+    measure(&mut criterion, "drop", drops);
+    measure(&mut criterion, "flow", flow);
+    criterion.final_summary();
+}
+
+fn measure(criterion: &mut Criterion, name: &str, cases: fn(&mut Group)) {
+    let mut group = criterion.benchmark_group(name);
+    group.throughput(Throughput::Elements(1));
+    cases(&mut group);
+    group.finish();
+}
+
+fn parse(group: &mut Group) {
+    let header = Header::default();
+    let small = request(1);
+    group.bench_function("38 octets", |bencher| {
+        bencher.iter(|| Datagram::parse(black_box(&small), header).is_ok());
+    });
+    let large = largest_request(1);
+    assert!(Datagram::parse(&large, header).is_ok());
+    group.bench_function("107 octets", |bencher| {
+        bencher.iter(|| Datagram::parse(black_box(&large), header).is_ok());
+    });
+    for (name, start) in [("garbage", &[][..]), ("garbage behind a good header", &[2, 0, 0, 0])] {
+        let mut turn = Turn::of(many_garbage(start));
+        group.bench_function(name, |bencher| {
+            bencher.iter(|| Datagram::parse(black_box(turn.next()), header).is_ok());
+        });
+    }
+}
+
+fn requests(group: &mut Group) {
+    for (name, flows, nodes, device_password) in [
+        ("1 flow", 1, 1, false),
+        ("1 flow, password exchanged", 1, 1, true),
+        ("64 flows, 16 nodes", 64, 16, false),
+        ("100,000 flows, 125 nodes, in random order", 100_000, 125, false),
+    ] {
+        let (mut rig, mut turn) = at_work(flows, nodes, device_password);
+        let octets: Vec<_> = (0..=nodes).map(request).collect();
+        group.bench_function(name, |bencher| {
+            bencher.iter(|| {
+                let flow = turn.next();
+                let mut octets = octets[usize::from(flow.node_address)];
+                let arrival = flow.arrival();
+                rig.core.request(rig.now, &arrival, &mut octets, &mut rig.shell).unwrap()
+            });
+        });
+    }
+}
+
+fn responses(group: &mut Group) {
+    for (name, flows, nodes, device_password) in [
+        ("1 flow", 1, 1, false),
+        ("1 flow, password exchanged", 1, 1, true),
+        ("64 flows, 16 nodes", 64, 16, false),
+        ("100,000 flows, 125 nodes, in random order", 100_000, 125, false),
+    ] {
+        let (mut rig, mut turn) = at_work(flows, nodes, device_password);
+        let password = if device_password { DEVICE_PASSWORD } else { PASSWORD };
+        let octets: Vec<_> = (0..=nodes).map(|node| response(node, password)).collect();
+        group.bench_function(name, |bencher| {
+            bencher.iter(|| {
+                let flow = turn.next();
+                let mut octets = octets[usize::from(flow.node_address)];
+                rig.core.response(rig.now, flow.to.via, flow.to.server, &mut octets).unwrap()
+            });
+        });
+    }
+}
+
+/// What strangers send, beside 64 open flows.
+fn drops(group: &mut Group) {
+    let (mut rig, mut turn) = at_work(64, 16, false);
+    let route = [0x02, 0x01, 0x05, 0x02, 0x33, 0xfd, 0x81, 0xb1];
+    let wrong: [u8; 38] = datagram(&route, &[7; 16], b"guessed!").try_into().unwrap();
+
+    group.bench_function("wrong password from open flows", |bencher| {
+        bencher.iter(|| {
+            let arrival = arrival(turn.next().client, 1);
+            let verdict = rig.core.request(rig.now, &arrival, &mut { wrong }, &mut rig.shell);
+            assert_eq!(verdict, Err(DropReason::PasswordWrong));
+        });
+    });
+    let mut number = 0;
+    group.bench_function("wrong password from 3,000,000 strangers", |bencher| {
+        bencher.iter(|| {
+            number = (number + 1) % 3_000_000;
+            let arrival = arrival(client_endpoint(1_000_000 + number), 1);
+            rig.core.request(rig.now, &arrival, &mut { wrong }, &mut rig.shell).is_err()
+        });
+    });
+    group.bench_function("wrong password from a throttled sender", |bencher| {
+        let arrival = arrival(client_endpoint(4_000_000), 1);
+        for _ in 0..11 {
+            let _ = rig.core.request(rig.now, &arrival, &mut { wrong }, &mut rig.shell);
+        }
+        bencher.iter(|| {
+            let verdict = rig.core.request(rig.now, &arrival, &mut { wrong }, &mut rig.shell);
+            assert_eq!(verdict, Err(DropReason::Throttled));
+        });
+    });
+    let mut garbage = Turn::of(many_garbage(&[2, 0, 0, 0]));
+    let outside = arrival("192.0.2.1:7".parse().unwrap(), 1);
+    group.bench_function("garbage behind a good header", |bencher| {
+        bencher.iter(|| {
+            let octets = garbage.next();
+            rig.core.request(rig.now, &outside, octets, &mut rig.shell).is_err()
+        });
+    });
+}
+
+/// A flow's whole life: its socket is opened, the flow idles away, the pair rests, the socket is
+/// closed.
+fn flow(group: &mut Group) {
+    let mut rig = Rig::new(&Site::default());
+    group.bench_function("opened and closed", |bencher| {
+        bencher.iter(|| {
+            black_box(rig.open(0, 1));
+            rig.now += IDLE_TIMEOUT;
+            rig.core.expire(rig.now, &mut rig.shell);
+            rig.now += REST;
+            rig.core.expire(rig.now, &mut rig.shell);
+        });
+    });
+    assert!(rig.core.is_idle());
+}
+
+/// A core with open flows, and those in random order.
+fn at_work(flows: u32, nodes: u8, device_password: bool) -> (Rig, Turn<Flow>) {
+    let mut rig = Rig::new(&Site { nodes, device_password, ..Site::default() });
+    let mut flows = rig.open_all(flows, nodes);
+    Rng::with_seed(3).shuffle(&mut flows);
+    (rig, Turn::of(flows))
+}
+
+fn many_garbage(start: &[u8]) -> Vec<Vec<u8>> {
+    let mut random = Rng::with_seed(5);
+    (0..256).map(|_| garbage(&mut random, start)).collect()
+}
+
+/// One after the other, round and round.
+struct Turn<T> {
+    items: Vec<T>,
+    at: usize,
+}
+
+impl<T> Turn<T> {
+    fn of(items: Vec<T>) -> Self {
+        Self { items, at: 0 }
+    }
+
+    fn next(&mut self) -> &mut T {
+        self.at = if self.at + 1 < self.items.len() { self.at + 1 } else { 0 };
+        &mut self.items[self.at]
+    }
+}

@@ -1,0 +1,202 @@
+//! One net of simulated nodes around a core, with clients that talk to it: what the benchmark of
+//! the core and the test of its allocations both stand on.
+//!
+//! There is no socket and no clock here. The octets are written by hand, so that the codec is not
+//! its own witness.
+
+use std::net::{IpAddr, Ipv4Addr, SocketAddr};
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use fastrand::Rng;
+use pnet_nat::relay::{
+    Arrival, CloseReason, Core, Counters, Credential, FlowRecord, Limits, ListenerId, Mapping,
+    MappingId, Net, NetId, NetKind, Rules, Shell, Table, ToServer, UpstreamId,
+};
+use pnet_nat::wire::{Header, Password};
+
+/// What clients send.
+pub(crate) const PASSWORD: &[u8; 8] = b"PNETPASS";
+/// What nodes expect where the passwords differ.
+pub(crate) const DEVICE_PASSWORD: &[u8; 8] = b"plant-pw";
+
+/// A flow without a datagram ends after this long.
+pub(crate) const IDLE_TIMEOUT: Duration = Duration::from_secs(300);
+/// A socket that nothing needs is closed after this long (N-9).
+pub(crate) const REST: Duration = Duration::from_secs(120);
+
+const PUBLIC: Ipv4Addr = Ipv4Addr::new(203, 0, 113, 5);
+const START_PORT: u16 = 40_000;
+const SERVER_PORT: u16 = 34_379;
+/// Ports that an address of the clients uses.
+const PORTS_OF_AN_ADDRESS: u32 = 250;
+
+/// What differs between the nets of the cases.
+pub(crate) struct Site {
+    /// Nodes, from 1 up.
+    pub(crate) nodes: u8,
+    /// Flows that may be open at once.
+    pub(crate) max_flows: u32,
+    /// Upstream sockets that may be open at once.
+    pub(crate) sockets: usize,
+    /// The nodes expect another password than the clients send.
+    pub(crate) device_password: bool,
+}
+
+impl Default for Site {
+    fn default() -> Self {
+        Self { nodes: 16, max_flows: 1_000_000, sockets: 100_000, device_password: false }
+    }
+}
+
+/// A core and the time it is told.
+pub(crate) struct Rig {
+    pub(crate) core: Core,
+    pub(crate) shell: NoSockets,
+    pub(crate) now: Instant,
+}
+
+/// Upstream sockets that are only counted.
+pub(crate) struct NoSockets {
+    open: usize,
+    limit: usize,
+}
+
+impl Shell for NoSockets {
+    fn open_upstream(&mut self, id: UpstreamId, _ipv4: bool) -> Option<u16> {
+        let free = self.open < self.limit;
+        self.open += usize::from(free);
+        free.then_some(id.0 as u16)
+    }
+
+    fn close_upstream(&mut self, _: UpstreamId) {
+        self.open -= 1;
+    }
+
+    fn flow_opened(&mut self, _: &FlowRecord) {}
+
+    fn flow_closed(&mut self, _: &FlowRecord, _: CloseReason) {}
+}
+
+impl Rig {
+    /// A core without flows.
+    pub(crate) fn new(site: &Site) -> Self {
+        let net = Net {
+            name: "section-1".into(),
+            kind: NetKind::UdpRange { start_port: START_PORT },
+            allow: vec!["10.0.0.0/8".parse().unwrap()],
+            credentials: vec![Credential {
+                name: "service".into(),
+                password: Password::new(*PASSWORD),
+                device_password: site.device_password.then(|| Password::new(*DEVICE_PASSWORD)),
+            }],
+            allow_without_password: false,
+            require_response_password: true,
+            idle_timeout: IDLE_TIMEOUT,
+            max_flows: site.max_flows,
+        };
+        let mapping = |node_address| Mapping {
+            net: NetId(0),
+            node_address,
+            public_port: START_PORT + u16::from(node_address),
+            server: server(node_address),
+        };
+        let mappings = (1..=site.nodes).map(mapping).collect();
+        let table = Arc::new(Table::new(Header::default(), vec![net], mappings));
+        let counters = Arc::new(Counters::new(&table));
+        let limits = Limits {
+            max_flows: u32::MAX,
+            wrong_password_burst: 10,
+            wrong_password_interval: Duration::from_secs(6),
+        };
+        let now = Instant::now();
+        let core = Core::new(Rules::new(table, limits), counters, now, Rng::with_seed(1));
+        Self { core, shell: NoSockets { open: 0, limit: site.sockets }, now }
+    }
+
+    /// Opens flow `number` with its first request.
+    pub(crate) fn open(&mut self, number: u32, nodes: u8) -> Flow {
+        let (client, node_address) = (number / u32::from(nodes), number % u32::from(nodes));
+        let (client, node_address) = (client_endpoint(client), node_address as u8 + 1);
+        let arrival = arrival(client, node_address);
+        let mut octets = request(node_address);
+        let to = self.core.request(self.now, &arrival, &mut octets, &mut self.shell).unwrap();
+        assert_eq!(to.server, server(node_address));
+        Flow { client, node_address, to }
+    }
+
+    /// Opens flows until so many are open: every client talks to every node.
+    pub(crate) fn open_all(&mut self, flows: u32, nodes: u8) -> Vec<Flow> {
+        (0..flows).map(|number| self.open(number, nodes)).collect()
+    }
+}
+
+/// A client endpoint and the node that it talks to.
+#[derive(Clone, Copy)]
+pub(crate) struct Flow {
+    pub(crate) client: SocketAddr,
+    pub(crate) node_address: u8,
+    /// Where its requests go.
+    pub(crate) to: ToServer,
+}
+
+impl Flow {
+    /// How its requests arrive.
+    pub(crate) fn arrival(&self) -> Arrival {
+        arrival(self.client, self.node_address)
+    }
+}
+
+/// A request of this client to this node's public port.
+pub(crate) fn arrival(client: SocketAddr, node_address: u8) -> Arrival {
+    let index = u32::from(node_address) - 1;
+    Arrival {
+        listener: ListenerId(index),
+        mapping: MappingId(index),
+        public_address: IpAddr::V4(PUBLIC),
+        client,
+    }
+}
+
+/// The endpoint of a client, by its number, from 10.0.0.0/8.
+pub(crate) fn client_endpoint(number: u32) -> SocketAddr {
+    let address = Ipv4Addr::from_bits(0x0a00_0001 + number / PORTS_OF_AN_ADDRESS);
+    (address, 20_000 + (number % PORTS_OF_AN_ADDRESS) as u16).into()
+}
+
+/// The Secure port of a node.
+pub(crate) fn server(node_address: u8) -> SocketAddr {
+    (Ipv4Addr::new(172, 17, 17, node_address), SERVER_PORT).into()
+}
+
+/// A request with 16 data octets: 38 octets, as a client that reads a few variables sends.
+pub(crate) fn request(node_address: u8) -> [u8; 38] {
+    let route = [0x02, node_address, 0x05, 0x02, 0x33, 0xfd, 0x81, 0xb1];
+    datagram(&route, &[7; 16], PASSWORD).try_into().unwrap()
+}
+
+/// The answer to [`request`], with the password that it came with.
+pub(crate) fn response(node_address: u8, password: &[u8; 8]) -> [u8; 38] {
+    let route = [0x31, 0x01, 0x05, 0x7d, 0xb3, 0x82, 0x80 | node_address, 0x82];
+    datagram(&route, &[9; 16], password).try_into().unwrap()
+}
+
+/// The largest request: 107 octets, a route of 30 and 63 data octets.
+pub(crate) fn largest_request(node_address: u8) -> [u8; 107] {
+    let mut route = [0x81; 30];
+    route[..3].copy_from_slice(&[0x02, node_address, 27]);
+    datagram(&route, &[7; 63], PASSWORD).try_into().unwrap()
+}
+
+/// Header, route, control-status, data-field-format, data octets, password.
+pub(crate) fn datagram(route: &[u8], data_octets: &[u8], password: &[u8]) -> Vec<u8> {
+    let control = [0x02, data_octets.len() as u8];
+    [&[2, 0, 0, 0], route, &control, data_octets, password].concat()
+}
+
+/// Random octets of a random length up to 120 behind this.
+pub(crate) fn garbage(random: &mut Rng, start: &[u8]) -> Vec<u8> {
+    let more = random.usize(16..120);
+    let noise = std::iter::repeat_with(|| random.u8(..)).take(more);
+    start.iter().copied().chain(noise).collect()
+}

@@ -1,0 +1,282 @@
+//! The core allocates nothing for a datagram: not for one of an open flow, and not for one that is
+//! dropped, whoever sent it. What it keeps for an open flow is stated.
+//!
+//! The allocator counts for each thread apart, so the tests may run side by side.
+// An allocator cannot be written without unsafe code; this one hands every call on.
+#![allow(unsafe_code)]
+
+#[allow(dead_code)] // the benchmark of the core uses the rest
+#[path = "../benches/rig/mod.rs"]
+mod rig;
+
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::cell::Cell;
+use std::net::SocketAddr;
+
+use pnet_nat::relay::{Arrival, DropReason};
+
+use rig::{
+    DEVICE_PASSWORD, Flow, PASSWORD, REST, Rig, Site, arrival, client_endpoint, datagram, garbage,
+    largest_request, request, response, server,
+};
+
+/// A datagram is sent so often, from the first time on.
+const TIMES: usize = 1_000;
+
+const ROUTE: [u8; 8] = [0x02, 0x01, 0x05, 0x02, 0x33, 0xfd, 0x81, 0xb1];
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+struct Counting;
+
+thread_local! {
+    static CALLS: Cell<usize> = const { Cell::new(0) };
+    /// Octets held; below zero where the thread has freed what another one allocated.
+    static HELD: Cell<isize> = const { Cell::new(0) };
+}
+
+fn count(calls: usize, more: usize, less: usize) {
+    // At the end of a thread there may be nothing left to count in.
+    let _ = CALLS.try_with(|cell| cell.set(cell.get() + calls));
+    let _ = HELD.try_with(|cell| cell.set(cell.get() + more as isize - less as isize));
+}
+
+// SAFETY: every call goes to the system's allocator unchanged. Counting does not allocate: the
+// cells need no initialization and no destructor.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        count(1, layout.size(), 0);
+        // SAFETY: the caller's promise is handed on.
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn dealloc(&self, place: *mut u8, layout: Layout) {
+        count(0, 0, layout.size());
+        // SAFETY: the caller's promise is handed on.
+        unsafe { System.dealloc(place, layout) }
+    }
+
+    unsafe fn realloc(&self, place: *mut u8, layout: Layout, size: usize) -> *mut u8 {
+        count(1, size, layout.size());
+        // SAFETY: the caller's promise is handed on.
+        unsafe { System.realloc(place, layout, size) }
+    }
+}
+
+/// Runs `action` and asserts that it allocated nothing.
+#[track_caller]
+fn without_allocating<T>(action: impl FnOnce() -> T) -> T {
+    let before = CALLS.get();
+    let result = action();
+    assert_eq!(CALLS.get() - before, 0, "allocations");
+    result
+}
+
+#[test]
+fn the_counter_counts() {
+    let before = (CALLS.get(), HELD.get());
+    let mut octets = Vec::<u8>::with_capacity(1000);
+    assert_eq!((CALLS.get() - before.0, HELD.get() - before.1), (1, 1000));
+    octets.reserve_exact(2000);
+    assert_eq!((CALLS.get() - before.0, HELD.get() - before.1), (2, 2000));
+    drop(octets);
+    assert_eq!((CALLS.get() - before.0, HELD.get() - before.1), (2, 0));
+}
+
+#[test]
+fn open_flows_cost_no_allocation() {
+    let mut rig = Rig::new(&Site::default());
+    let flows = rig.open_all(64, 16);
+    let answers: Vec<_> = (1..=16).map(|node| response(node, PASSWORD)).collect();
+    let requests: Vec<_> = (1..=16).map(request).collect();
+    without_allocating(|| {
+        for _ in 0..TIMES {
+            for flow in &flows {
+                let index = usize::from(flow.node_address) - 1;
+                exchange(&mut rig, flow, &mut { requests[index] }, &mut { answers[index] });
+            }
+        }
+    });
+}
+
+#[test]
+fn the_largest_request_costs_no_allocation() {
+    let mut rig = Rig::new(&Site::default());
+    let flow = rig.open(0, 16);
+    let (large, answer) = (largest_request(1), response(1, PASSWORD));
+    without_allocating(|| {
+        for _ in 0..TIMES {
+            exchange(&mut rig, &flow, &mut { large }, &mut { answer });
+        }
+    });
+}
+
+/// The password is exchanged on the way in and on the way back.
+#[test]
+fn exchanging_the_password_costs_no_allocation() {
+    let mut rig = Rig::new(&Site { device_password: true, ..Site::default() });
+    let flow = rig.open(0, 16);
+    let (asked, answer) = (request(1), response(1, DEVICE_PASSWORD));
+    without_allocating(|| {
+        for _ in 0..TIMES {
+            let (mut asked, mut answer) = (asked, answer);
+            exchange(&mut rig, &flow, &mut asked, &mut answer);
+            assert!(asked.ends_with(DEVICE_PASSWORD) && answer.ends_with(PASSWORD));
+        }
+    });
+}
+
+#[test]
+fn a_dropped_request_costs_no_allocation() {
+    let outside: SocketAddr = "192.0.2.1:7".parse().unwrap();
+    let member = client_endpoint(0);
+    let secure = |route: &[u8]| datagram(route, &[7; 16], PASSWORD);
+    let wrong = datagram(&ROUTE, &[7; 16], b"guessed!");
+    let mut broadcast = ROUTE;
+    broadcast[1] = 126;
+    // In the order of the checks. Each is sent from a stranger first, where that makes a difference.
+    let cases: [(DropReason, SocketAddr, Vec<u8>); 13] = [
+        (DropReason::TooShort, outside, vec![2, 0, 0, 0, 1]),
+        (DropReason::TooLong, outside, vec![2; 108]),
+        (DropReason::BadHeader, outside, [&[9, 9, 9, 9], &request(1)[4..]].concat()),
+        (DropReason::BadRoute, outside, secure(&[0x02, 0x01, 0x02, 0x03])),
+        (DropReason::RouteFormat, outside, secure(&[0x02, 0x81])),
+        (DropReason::BadLength, outside, request(1)[..37].to_vec()),
+        (DropReason::PasswordMissing, outside, datagram(&ROUTE, &[7; 16], &[])),
+        (DropReason::SourceNotAllowed, outside, request(1).to_vec()),
+        (DropReason::PasswordWrong, member, wrong.clone()),
+        (DropReason::Throttled, client_endpoint(1), wrong),
+        (DropReason::Broadcast, member, secure(&broadcast)),
+        (DropReason::NodeMismatch, member, request(2).to_vec()),
+        (DropReason::FlowLimit, client_endpoint(2), request(1).to_vec()),
+    ];
+    let mut rig = Rig::new(&Site { max_flows: 1, ..Site::default() });
+    rig.open(0, 16);
+    let mut seen = Vec::new();
+    for (reason, client, octets) in cases {
+        let arrival = arrival(client, 1);
+        if reason == DropReason::Throttled {
+            (0..10).for_each(|_| {
+                expect_drop(&mut rig, &arrival, &octets, DropReason::PasswordWrong);
+            });
+        }
+        let once = octets.clone();
+        without_allocating(|| {
+            (0..TIMES).for_each(|_| expect_drop(&mut rig, &arrival, &once, reason));
+        });
+        seen.push(reason);
+    }
+
+    let mut rig = Rig::new(&Site { sockets: 0, ..Site::default() });
+    let (arrival, octets) = (arrival(member, 1), request(1));
+    let exhausted = DropReason::UpstreamExhausted;
+    without_allocating(|| {
+        (0..TIMES).for_each(|_| expect_drop(&mut rig, &arrival, &octets, exhausted));
+    });
+    seen.push(exhausted);
+
+    let left_out = DropReason::REQUEST.iter().filter(|reason| !seen.contains(reason));
+    assert!(left_out.eq([&DropReason::SendFailed]), "the core does not send");
+}
+
+#[test]
+fn a_dropped_response_costs_no_allocation() {
+    let stranger: SocketAddr = "172.17.17.200:34379".parse().unwrap();
+    let sound = response(1, PASSWORD);
+    let cases: [(DropReason, SocketAddr, Vec<u8>); 8] = [
+        (DropReason::UnknownFlow, stranger, sound.to_vec()),
+        (DropReason::UnknownFlow, server(2), sound.to_vec()),
+        (DropReason::TooShort, server(1), vec![2]),
+        (DropReason::TooLong, server(1), vec![2; 108]),
+        (DropReason::BadHeader, server(1), [&[9, 9, 9, 9], &sound[4..]].concat()),
+        (DropReason::BadRoute, server(1), datagram(&[0x81, 0x02], &[7; 16], PASSWORD)),
+        (DropReason::BadLength, server(1), sound[..37].to_vec()),
+        (DropReason::PasswordMismatch, server(1), response(1, b"guessed!").to_vec()),
+    ];
+    let mut rig = Rig::new(&Site::default());
+    let via = rig.open(0, 16).to.via;
+    for (reason, from, octets) in &cases {
+        let mut octets = octets.clone();
+        without_allocating(|| {
+            for _ in 0..TIMES {
+                let verdict = rig.core.response(rig.now, via, *from, &mut octets);
+                assert_eq!(verdict.err(), Some(*reason));
+            }
+        });
+    }
+    let seen = |reason| cases.iter().any(|(case, ..)| *case == reason);
+    let left_out = DropReason::RESPONSE.iter().filter(|&&reason| !seen(reason));
+    assert!(left_out.eq([&DropReason::SendFailed]), "the core does not send");
+}
+
+/// Whatever it is, from whomever: a stranger, a client without a flow, a client with one, a node.
+#[test]
+fn garbage_costs_no_allocation() {
+    let mut rig = Rig::new(&Site::default());
+    let via = rig.open(0, 16).to.via;
+    let mut random = fastrand::Rng::with_seed(7);
+    for round in 0..10_000 {
+        let start = &[2, 0, 0, 0][..round % 5];
+        let mut octets = garbage(&mut random, start);
+        let clients = ["192.0.2.1:7".parse().unwrap(), client_endpoint(1), client_endpoint(0)];
+        without_allocating(|| {
+            for client in clients {
+                let verdict =
+                    rig.core.request(rig.now, &arrival(client, 1), &mut octets, &mut rig.shell);
+                assert!(verdict.is_err());
+            }
+            for from in [server(1), server(2)] {
+                assert!(rig.core.response(rig.now, via, from, &mut octets).is_err());
+            }
+        });
+    }
+}
+
+/// A client that was here before opens its flow again without an allocation.
+#[test]
+fn a_flow_that_comes_back_costs_no_allocation() {
+    let mut rig = Rig::new(&Site::default());
+    rig.open(0, 16);
+    rig.core.shut_down(rig.now, &mut rig.shell);
+    let (arrival, mut octets) = (arrival(client_endpoint(0), 1), request(1));
+    without_allocating(|| {
+        rig.core.request(rig.now, &arrival, &mut octets, &mut rig.shell).unwrap();
+    });
+}
+
+#[test]
+fn memory_of_100_000_flows() {
+    const FLOWS: u32 = 100_000;
+    let mut rig = Rig::new(&Site { nodes: 125, ..Site::default() });
+    let before = HELD.get();
+    for number in 0..FLOWS {
+        rig.open(number, 125);
+    }
+    let held = (HELD.get() - before).cast_unsigned();
+    println!("memory of {FLOWS} flows: {held} octets, {} a flow", held / FLOWS as usize);
+    assert!(held < 600 * FLOWS as usize, "{held} octets");
+
+    // Closed, and rested.
+    rig.core.shut_down(rig.now, &mut rig.shell);
+    rig.now += REST;
+    rig.core.expire(rig.now, &mut rig.shell);
+    assert!(rig.core.is_idle());
+}
+
+fn exchange(rig: &mut Rig, flow: &Flow, asked: &mut [u8], answer: &mut [u8]) {
+    let to = rig.core.request(rig.now, &flow.arrival(), asked, &mut rig.shell).unwrap();
+    assert_eq!(to, flow.to);
+    let back = rig.core.response(rig.now, to.via, to.server, answer).unwrap();
+    assert_eq!(back.client, flow.client);
+}
+
+/// A datagram that is dropped is not changed, so it may be sent again.
+fn expect_drop(rig: &mut Rig, arrival: &Arrival, octets: &[u8], reason: DropReason) {
+    let mut copy = [0; 120];
+    let copy = &mut copy[..octets.len()];
+    copy.copy_from_slice(octets);
+    let verdict = rig.core.request(rig.now, arrival, copy, &mut rig.shell);
+    assert_eq!(verdict, Err(reason));
+    assert_eq!(copy, octets);
+}
