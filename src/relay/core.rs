@@ -3,20 +3,19 @@
 //! Nothing is remembered of a sender before its password was right, and every datagram is counted
 //! once as received and once as forwarded or dropped. The caller does the sending and reports it.
 
-use std::collections::HashMap;
 use std::hash::BuildHasher;
 use std::net::{IpAddr, SocketAddr};
 use std::sync::Arc;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
-use foldhash::fast::{FixedState, RandomState};
-use slab::Slab;
+use foldhash::fast::FixedState;
 
 use crate::wire;
 
 use super::check::{self, Request};
 use super::counters::Counters;
-use super::flow::{Answers, Endpoints, Flow, FlowRecord};
+use super::flow::{Answers, Endpoints, Flow, FlowRecord, Nanos};
+use super::flows::Flows;
 use super::ids::{FlowId, ListenerId, UpstreamId};
 use super::reason::{CloseReason, Direction, DropReason};
 use super::rules::Rules;
@@ -69,28 +68,26 @@ pub struct ToClient {
 pub struct Core {
     pub(super) rules: Rules,
     pub(super) counters: Arc<Counters>,
-    pub(super) flows: Slab<Flow>,
-    pub(super) by_endpoints: HashMap<Endpoints, FlowId, RandomState>,
+    pub(super) flows: Flows,
     upstreams: Upstreams,
     pub(super) throttle: Throttle,
     start: Instant,
 }
 
 impl Core {
-    /// A core without flows, whose `counters` are those of the rules' table. `start` is when the router started; `random` decides which open
-    /// socket a new client shares.
+    /// A core without flows, whose `counters` are those of the rules' table. `start` is when the
+    /// router started; `random` decides which open socket a new client shares.
     pub fn new(
         rules: Rules,
         counters: Arc<Counters>,
         start: Instant,
         random: fastrand::Rng,
     ) -> Self {
-        let throttle = Throttle::new(&rules.limits, start);
+        let throttle = Throttle::new(&rules.limits);
         Self {
             rules,
             counters,
-            flows: Slab::new(),
-            by_endpoints: HashMap::default(),
+            flows: Flows::default(),
             upstreams: Upstreams::new(random),
             throttle,
             start,
@@ -107,7 +104,7 @@ impl Core {
         octets: &mut [u8],
         shell: &mut impl Shell,
     ) -> Result<ToServer, DropReason> {
-        let verdict = self.judge_request(now, arrival, octets, shell);
+        let verdict = self.judge_request(self.nanos(now), arrival, octets, shell);
         let node = self.counters.node(arrival.mapping).direction(Direction::Request);
         node.received.add(1);
         if let Err(reason) = verdict {
@@ -127,13 +124,13 @@ impl Core {
         server: SocketAddr,
         octets: &mut [u8],
     ) -> Result<ToClient, DropReason> {
-        let flow = self.upstreams.flow(via, server);
+        let flow = self.flows.of_response(via, server, &self.rules.table);
         let verdict = match flow {
-            Some(id) => self.judge_response(now, id, octets),
+            Some(id) => self.judge_response(self.nanos(now), id, octets),
             None => Err(DropReason::UnknownFlow),
         };
         let mapping = match flow {
-            Some(id) => Some(self.flows[id.key()].mapping),
+            Some(id) => Some(self.flows.get(id).mapping),
             None => self.rules.table.mapping_of_server(server),
         };
         let node = mapping.map_or(&self.counters.stray, |mapping| self.counters.node(mapping));
@@ -161,54 +158,54 @@ impl Core {
     /// Closes flows that have been idle for their net's time-out, and sockets that nothing needs
     /// any more. To be called about once a second.
     pub fn expire(&mut self, now: Instant, shell: &mut impl Shell) {
-        let idle = |flow: &Flow| {
-            let net = self.rules.table.net(self.rules.table.mapping(flow.mapping).net);
-            now.saturating_duration_since(flow.last_used) >= net.idle_timeout
+        let now = self.nanos(now);
+        let table = &self.rules.table;
+        let is_idle = |flow: &Flow| {
+            let time_out = table.net(table.mapping(flow.mapping).net).idle_timeout;
+            Duration::from_nanos(now - flow.last_used) >= time_out
         };
-        let expired: Vec<_> =
-            self.flows.iter().filter(|(_, flow)| idle(flow)).map(|(key, _)| key).collect();
-        for key in expired {
-            self.close(key, CloseReason::Idle, now, shell);
+        let idle: Vec<_> =
+            self.flows.iter().filter(|(_, flow)| is_idle(flow)).map(|(id, _)| id).collect();
+        for id in idle {
+            self.close(id, CloseReason::Idle, now, shell);
         }
         self.upstreams.expire(now, shell);
     }
 
     /// Closes every flow.
     pub fn shut_down(&mut self, now: Instant, shell: &mut impl Shell) {
-        let open: Vec<_> = self.flows.iter().map(|(key, _)| key).collect();
-        for key in open {
-            self.close(key, CloseReason::Shutdown, now, shell);
+        for id in self.flows.ids() {
+            self.close(id, CloseReason::Shutdown, self.nanos(now), shell);
         }
     }
 
     /// Whether a request has no answer yet that may still come.
     pub fn awaits_answers(&self, now: Instant) -> bool {
+        let now = self.nanos(now);
         self.flows.iter().any(|(_, flow)| flow.awaits_answers(now))
     }
 
     /// Whether no flow is open and no socket waits to be closed, so that nothing will expire.
     pub fn is_idle(&self) -> bool {
-        self.flows.is_empty() && self.upstreams.is_empty()
+        self.flows.len() == 0 && self.upstreams.is_empty()
     }
 
     /// The open flows.
     pub fn flows(&self, now: Instant) -> impl Iterator<Item = FlowRecord> {
+        let now = self.nanos(now);
         self.flows.iter().map(move |(_, flow)| flow.record(now))
     }
 
     /// Panics where the tables do not agree with each other.
     #[cfg(test)]
     pub(super) fn check_invariants(&self, now: Instant) {
-        assert_eq!(self.flows.len(), self.by_endpoints.len());
-        let mut by_net = vec![0; self.rules.table.nets().len()];
-        for (key, flow) in &self.flows {
-            let mapping = self.rules.table.mapping(flow.mapping);
-            assert_eq!(self.by_endpoints[&flow.endpoints].key(), key);
-            assert_eq!(
-                self.upstreams.flow(flow.upstream, mapping.server).map(FlowId::key),
-                Some(key),
-                "an answer finds its flow"
-            );
+        let (now, table) = (self.nanos(now), &self.rules.table);
+        let mut by_net = vec![0; table.nets().len()];
+        for (id, flow) in self.flows.iter() {
+            let mapping = table.mapping(flow.mapping);
+            assert_eq!(self.flows.of_request(&flow.endpoints), Some(id));
+            let found = self.flows.of_response(flow.upstream, mapping.server, table);
+            assert_eq!(found, Some(id), "an answer finds its flow");
             assert!(flow.opened <= flow.last_used && flow.last_used <= now);
             by_net[usize::from(mapping.net.0)] += 1;
         }
@@ -218,12 +215,19 @@ impl Core {
         self.upstreams.check_invariants(self.flows.len());
     }
 
+    /// A time as flows keep it.
+    #[inline]
+    pub(super) fn nanos(&self, now: Instant) -> Nanos {
+        let nanos = now.saturating_duration_since(self.start).as_nanos();
+        u64::try_from(nanos).unwrap_or(u64::MAX).saturating_add(1)
+    }
+
     /// The checks of a request, in their order: first what costs a stranger's datagram least, then
     /// who sent it, then the password, and only then what it asks for.
     #[inline]
     fn judge_request(
         &mut self,
-        now: Instant,
+        now: Nanos,
         arrival: &Arrival,
         octets: &mut [u8],
         shell: &mut impl Shell,
@@ -235,7 +239,7 @@ impl Core {
         // An open flow is judged by its password alone, so that wrong passwords under a client's
         // address cannot lock the client out.
         let endpoints = arrival.endpoints();
-        let open = self.by_endpoints.get(&endpoints).copied();
+        let open = self.flows.of_request(&endpoints);
         if open.is_none() && !net.allows(arrival.client.ip()) {
             return Err(DropReason::SourceNotAllowed);
         }
@@ -261,7 +265,7 @@ impl Core {
             Some(id) => id,
             None => self.open(now, arrival, credential, shell)?,
         };
-        let flow = &mut self.flows[id.key()];
+        let flow = self.flows.get_mut(id);
         flow.credential = credential;
         if request.confirmed {
             flow.answers.asked(now);
@@ -281,12 +285,12 @@ impl Core {
     #[inline]
     fn judge_response(
         &mut self,
-        now: Instant,
+        now: Nanos,
         id: FlowId,
         octets: &mut [u8],
     ) -> Result<ToClient, DropReason> {
         let password = check::response(octets, self.rules.table.header)?;
-        let flow = &mut self.flows[id.key()];
+        let flow = self.flows.get_mut(id);
         let mapping = self.rules.table.mapping(flow.mapping);
         let net = self.rules.table.net(mapping.net);
         let credential = flow.credential.map(|index| &net.credentials[usize::from(index)]);
@@ -305,7 +309,7 @@ impl Core {
         }
         flow.last_used = now; // N-3
         let node = self.counters.node(flow.mapping);
-        node.last_response.set(since(self.start, now));
+        node.last_response.set(now);
         if let Some(response_time) = flow.answers.came(now) {
             node.response_times.observe(response_time);
         }
@@ -319,7 +323,7 @@ impl Core {
 
     fn open(
         &mut self,
-        now: Instant,
+        now: Nanos,
         arrival: &Arrival,
         credential: Option<u16>,
         shell: &mut impl Shell,
@@ -328,19 +332,17 @@ impl Core {
         if !self.rules.budget.take(mapping.net) {
             return Err(DropReason::FlowLimit); // N-8
         }
-        let place = self.flows.vacant_entry();
-        let id = FlowId::new(place.key());
         let owner = Owner {
             client: arrival.client,
             public_address: arrival.public_address,
             public_port: mapping.public_port,
         };
-        let assigned = self.upstreams.assign(id, owner, mapping.server, shell);
+        let assigned = self.upstreams.assign(owner, mapping.server, shell);
         let Some((upstream, upstream_port)) = assigned else {
             self.rules.budget.give(mapping.net);
             return Err(DropReason::UpstreamExhausted);
         };
-        let flow = place.insert(Flow {
+        let flow = Flow {
             endpoints: arrival.endpoints(),
             mapping: arrival.mapping,
             upstream,
@@ -348,26 +350,24 @@ impl Core {
             credential,
             opened: now,
             last_used: now,
-            answers: Answers::new(now),
-        });
+            answers: Answers::default(),
+        };
         shell.flow_opened(&flow.record(now));
-        self.by_endpoints.insert(flow.endpoints, id);
         let net = self.counters.net(mapping.net);
         net.flows.add(1);
         net.flows_opened.add(1);
-        Ok(id)
+        Ok(self.flows.insert(flow, &self.rules.table))
     }
 
     pub(super) fn close(
         &mut self,
-        key: usize,
+        id: FlowId,
         reason: CloseReason,
-        now: Instant,
+        now: Nanos,
         shell: &mut impl Shell,
     ) {
-        let flow = self.flows.remove(key);
+        let flow = self.flows.remove(id, &self.rules.table);
         let mapping = self.rules.table.mapping(flow.mapping);
-        self.by_endpoints.remove(&flow.endpoints);
         self.upstreams.release(flow.upstream, mapping.server, now);
         self.rules.budget.give(mapping.net);
         let net = self.counters.net(mapping.net);
@@ -385,10 +385,4 @@ impl Arrival {
             listener: self.listener,
         }
     }
-}
-
-/// Nanoseconds from the router's start, at least 1: 0 stands for never.
-fn since(start: Instant, now: Instant) -> u64 {
-    let nanos = now.saturating_duration_since(start).as_nanos();
-    u64::try_from(nanos).unwrap_or(u64::MAX).max(1)
 }

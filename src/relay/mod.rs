@@ -7,6 +7,7 @@ mod check;
 mod core;
 mod counters;
 mod flow;
+mod flows;
 mod ids;
 mod reason;
 mod reload;

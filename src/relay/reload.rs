@@ -37,23 +37,23 @@ impl Core {
             let listener = listener(flow.endpoints.listener);
             place(flow, old, &rules.table, listener.ok_or(CloseReason::MappingRemoved)?)
         };
-        let places: Vec<_> = self.flows.iter().map(|(key, flow)| (key, place(flow))).collect();
-        for (key, place) in places {
+        let places: Vec<_> = self.flows.iter().map(|(id, flow)| (id, place(flow))).collect();
+        let now = self.nanos(now);
+        for (id, place) in places {
             match place {
-                Ok(place) => self.move_flow(key, &place, rules),
-                Err(reason) => self.close(key, reason, now, shell),
+                Ok(place) => self.move_flow(id, &place, rules),
+                Err(reason) => self.close(id, reason, now, shell),
             }
         }
-        let by_endpoints = |(key, flow): (usize, &Flow)| (flow.endpoints, FlowId::new(key));
-        self.by_endpoints = self.flows.iter().map(by_endpoints).collect();
+        self.flows.reindex();
         self.throttle.set_limits(&rules.limits);
         self.counters = Arc::new(self.counters.carried_over(&self.rules.table, &rules.table));
         self.rules = rules.clone();
         Arc::clone(&self.counters)
     }
 
-    fn move_flow(&mut self, key: usize, place: &Place, rules: &Rules) {
-        let flow = &mut self.flows[key];
+    fn move_flow(&mut self, id: FlowId, place: &Place, rules: &Rules) {
+        let flow = self.flows.get_mut(id);
         self.rules.budget.give(self.rules.table.mapping(flow.mapping).net);
         // A lower limit closes nothing; it is kept to when flows are opened.
         rules.budget.take_regardless(rules.table.mapping(place.mapping).net);

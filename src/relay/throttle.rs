@@ -8,8 +8,9 @@
 
 use std::hash::{BuildHasher, Hasher};
 use std::net::{IpAddr, SocketAddr};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
+use super::flow::Nanos;
 use super::table::Limits;
 
 const SETS: usize = 1024;
@@ -22,7 +23,6 @@ const PORTS_OF_AN_ADDRESS: u64 = 512;
 pub(super) struct Throttle {
     sets: Box<[[Offender; WAYS]]>,
     hash: foldhash::fast::RandomState,
-    start: Instant,
     port: Rate,
     address: Rate,
 }
@@ -30,9 +30,8 @@ pub(super) struct Throttle {
 #[derive(Clone, Copy, Debug, Default)]
 struct Offender {
     key: u64,
-    /// When all its wrong passwords will be forgiven, in nanoseconds since `start`; in the past,
-    /// the place is free.
-    forgiven_at: u64,
+    /// When all its wrong passwords will be forgiven; in the past, the place is free.
+    forgiven_at: Nanos,
 }
 
 /// How a bucket fills and drains, in nanoseconds.
@@ -45,11 +44,10 @@ struct Rate {
 }
 
 impl Throttle {
-    pub(super) fn new(limits: &Limits, start: Instant) -> Self {
+    pub(super) fn new(limits: &Limits) -> Self {
         Self {
             sets: vec![[Offender::default(); WAYS]; SETS].into_boxed_slice(),
             hash: foldhash::fast::RandomState::default(),
-            start,
             port: Rate::of(limits, 1),
             address: Rate::of(limits, PORTS_OF_AN_ADDRESS),
         }
@@ -63,8 +61,7 @@ impl Throttle {
 
     /// Whether a password from this sender is looked at.
     #[inline]
-    pub(super) fn admits(&self, now: Instant, sender: SocketAddr) -> bool {
-        let now = self.since_start(now);
+    pub(super) fn admits(&self, now: Nanos, sender: SocketAddr) -> bool {
         let bears = |key: u64, rate: Rate| {
             self.sets[set(key)].iter().all(|offender| {
                 offender.key != key || offender.forgiven_at.saturating_sub(now) <= rate.bearable
@@ -74,13 +71,12 @@ impl Throttle {
     }
 
     /// Notes a wrong password of this sender.
-    pub(super) fn wrong_password(&mut self, now: Instant, sender: SocketAddr) {
-        let now = self.since_start(now);
+    pub(super) fn wrong_password(&mut self, now: Nanos, sender: SocketAddr) {
         self.charge(now, self.address_key(sender), self.address);
         self.charge(now, self.port_key(sender), self.port);
     }
 
-    fn charge(&mut self, now: u64, key: u64, rate: Rate) {
+    fn charge(&mut self, now: Nanos, key: u64, rate: Rate) {
         let ways = &mut self.sets[set(key)];
         let known = ways.iter().position(|offender| offender.key == key);
         let way = known.unwrap_or_else(|| lightest(ways));
@@ -100,10 +96,6 @@ impl Throttle {
 
     fn port_key(&self, sender: SocketAddr) -> u64 {
         self.hash.hash_one((sender.ip().to_canonical(), sender.port())).max(1)
-    }
-
-    fn since_start(&self, now: Instant) -> u64 {
-        nanos(now.saturating_duration_since(self.start))
     }
 }
 
@@ -128,7 +120,7 @@ fn lightest(ways: &[Offender; WAYS]) -> usize {
     )
 }
 
-fn nanos(duration: Duration) -> u64 {
+fn nanos(duration: Duration) -> Nanos {
     u64::try_from(duration.as_nanos()).unwrap_or(u64::MAX)
 }
 
@@ -137,12 +129,12 @@ mod tests {
     use super::*;
     use std::net::{Ipv4Addr, Ipv6Addr};
 
-    const SECOND: Duration = Duration::from_secs(1);
+    const START: Nanos = 1;
+    const SECOND: Nanos = 1_000_000_000;
 
-    fn throttle(start: Instant) -> Throttle {
-        let limits =
-            Limits { max_flows: 1, wrong_password_burst: 3, wrong_password_interval: 6 * SECOND };
-        Throttle::new(&limits, start)
+    fn throttle() -> Throttle {
+        let wrong_password_interval = Duration::from_secs(6);
+        Throttle::new(&Limits { max_flows: 1, wrong_password_burst: 3, wrong_password_interval })
     }
 
     fn v4(last: u32, port: u16) -> SocketAddr {
@@ -151,19 +143,18 @@ mod tests {
 
     #[test]
     fn a_burst_is_allowed_and_one_is_forgiven_each_interval() {
-        let start = Instant::now();
-        let mut throttle = throttle(start);
+        let mut throttle = throttle();
         for _ in 0..3 {
-            assert!(throttle.admits(start, v4(1, 7)));
-            throttle.wrong_password(start, v4(1, 7));
+            assert!(throttle.admits(START, v4(1, 7)));
+            throttle.wrong_password(START, v4(1, 7));
         }
-        assert!(!throttle.admits(start, v4(1, 7)));
-        assert!(throttle.admits(start, v4(1, 8)), "another port is not concerned yet");
-        assert!(throttle.admits(start, v4(2, 7)), "another address is not concerned");
+        assert!(!throttle.admits(START, v4(1, 7)));
+        assert!(throttle.admits(START, v4(1, 8)), "another port is not concerned yet");
+        assert!(throttle.admits(START, v4(2, 7)), "another address is not concerned");
         let mapped = Ipv4Addr::from_bits(0xc633_6401).to_ipv6_mapped();
-        assert!(!throttle.admits(start, (mapped, 7).into()), "the same sender over IPv6");
-        let later = start + 6 * SECOND;
-        assert!(!throttle.admits(later - Duration::from_nanos(1), v4(1, 7)));
+        assert!(!throttle.admits(START, (mapped, 7).into()), "the same sender over IPv6");
+        let later = START + 6 * SECOND;
+        assert!(!throttle.admits(later - 1, v4(1, 7)));
         assert!(throttle.admits(later, v4(1, 7)));
         throttle.wrong_password(later, v4(1, 7));
         assert!(!throttle.admits(later, v4(1, 7)));
@@ -172,39 +163,36 @@ mod tests {
 
     #[test]
     fn an_address_is_throttled_whatever_port_it_takes() {
-        let start = Instant::now();
-        let mut throttle = throttle(start);
+        let mut throttle = throttle();
         let wrong = (1000..).take_while(|&port| {
-            let admitted = throttle.admits(start, v4(1, port));
-            throttle.wrong_password(start, v4(1, port));
+            let admitted = throttle.admits(START, v4(1, port));
+            throttle.wrong_password(START, v4(1, port));
             admitted
         });
         assert_eq!(wrong.count(), 3 * 512);
-        assert!(!throttle.admits(start, v4(1, 7)));
-        assert!(throttle.admits(start, v4(2, 7)), "another address is not concerned");
-        assert!(throttle.admits(start + SECOND, v4(1, 7)), "forgiven 512 times as fast");
+        assert!(!throttle.admits(START, v4(1, 7)));
+        assert!(throttle.admits(START, v4(2, 7)), "another address is not concerned");
+        assert!(throttle.admits(START + SECOND, v4(1, 7)), "forgiven 512 times as fast");
     }
 
     #[test]
     fn an_ipv6_address_is_its_64_bit_prefix() {
-        let start = Instant::now();
-        let mut throttle = throttle(start);
+        let mut throttle = throttle();
         let host = |prefix, host| {
             SocketAddr::from((Ipv6Addr::new(0x2001, 0xdb8, 0, prefix, 0, 0, 0, host), 1))
         };
-        (0..3 * 512).for_each(|n| throttle.wrong_password(start, host(7, n)));
-        assert!(!throttle.admits(start, host(7, 9999)));
-        assert!(throttle.admits(start, host(8, 1)));
+        (0..3 * 512).for_each(|n| throttle.wrong_password(START, host(7, n)));
+        assert!(!throttle.admits(START, host(7, 9999)));
+        assert!(throttle.admits(START, host(8, 1)));
     }
 
     #[test]
     fn a_million_senders_do_not_push_out_a_heavy_offender() {
-        let start = Instant::now();
-        let mut throttle = throttle(start);
-        (0..3).for_each(|_| throttle.wrong_password(start, v4(1, 7)));
+        let mut throttle = throttle();
+        (0..3).for_each(|_| throttle.wrong_password(START, v4(1, 7)));
         for n in 0..1_000_000 {
-            throttle.wrong_password(start, (Ipv4Addr::from_bits(0x0a00_0000 + n), 7).into());
+            throttle.wrong_password(START, (Ipv4Addr::from_bits(0x0a00_0000 + n), 7).into());
         }
-        assert!(!throttle.admits(start, v4(1, 7)));
+        assert!(!throttle.admits(START, v4(1, 7)));
     }
 }

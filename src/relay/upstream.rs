@@ -9,16 +9,16 @@
 
 use std::collections::{HashMap, VecDeque};
 use std::net::{IpAddr, SocketAddr};
-use std::time::{Duration, Instant};
 
 use foldhash::fast::RandomState;
 use slab::Slab;
 
-use super::ids::{FlowId, UpstreamId};
+use super::flow::Nanos;
+use super::ids::UpstreamId;
 use super::shell::Shell;
 
 /// How long a pair that a flow gave up is kept from other clients.
-const REST: Duration = Duration::from_secs(120);
+const REST: Nanos = 120_000_000_000;
 
 /// How many open sockets are tried at random before another is opened.
 const PROBES: usize = 8;
@@ -42,7 +42,7 @@ pub(super) struct Upstreams {
     homes: HashMap<(SocketAddr, IpAddr), Home, RandomState>,
     /// When the pairs that were given up will have rested, in that order. One that was taken up
     /// again since is still here.
-    resting: VecDeque<(Instant, UpstreamId, SocketAddr)>,
+    resting: VecDeque<(Nanos, UpstreamId, SocketAddr)>,
     random: fastrand::Rng,
 }
 
@@ -63,8 +63,8 @@ struct Pair {
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum PairState {
-    Used(FlowId),
-    RestsUntil(Instant),
+    Used,
+    RestsUntil(Nanos),
 }
 
 /// The socket that a client keeps to, for what it sends to one public address: towards a server, a
@@ -88,20 +88,10 @@ impl Upstreams {
         }
     }
 
-    /// The flow that an answer from `server` on this socket belongs to.
-    #[inline]
-    pub(super) fn flow(&self, socket: UpstreamId, server: SocketAddr) -> Option<FlowId> {
-        match self.pairs.get(&(socket, server))?.state {
-            PairState::Used(flow) => Some(flow),
-            PairState::RestsUntil(_) => None,
-        }
-    }
-
     /// Gives a flow a socket on which nobody else talks to this server, and tells its port.
     /// None when there is no such socket and no other can be opened.
     pub(super) fn assign(
         &mut self,
-        flow: FlowId,
         owner: Owner,
         server: SocketAddr,
         shell: &mut impl Shell,
@@ -111,7 +101,7 @@ impl Upstreams {
             .or_else(|| self.probe(owner, server))
             .or_else(|| self.open(server, shell))
             .or_else(|| self.open.iter().copied().find(|&id| self.may_use(id, owner, server)))?;
-        let used = Pair { owner, state: PairState::Used(flow) };
+        let used = Pair { owner, state: PairState::Used };
         let place = &mut self.sockets[socket.key()];
         if self.pairs.insert((socket, server), used).is_none() {
             place.pairs += 1;
@@ -121,7 +111,7 @@ impl Upstreams {
     }
 
     /// Takes a flow's socket from it; the pair begins to rest.
-    pub(super) fn release(&mut self, socket: UpstreamId, server: SocketAddr, now: Instant) {
+    pub(super) fn release(&mut self, socket: UpstreamId, server: SocketAddr, now: Nanos) {
         if let Some(pair) = self.pairs.get_mut(&(socket, server)) {
             let end = now + REST;
             pair.state = PairState::RestsUntil(end);
@@ -130,7 +120,7 @@ impl Upstreams {
     }
 
     /// Frees the pairs that have rested, and closes the sockets that nothing needs any more.
-    pub(super) fn expire(&mut self, now: Instant, shell: &mut impl Shell) {
+    pub(super) fn expire(&mut self, now: Nanos, shell: &mut impl Shell) {
         while let Some(&(end, socket, server)) = self.resting.front()
             && end <= now
         {
@@ -151,7 +141,7 @@ impl Upstreams {
     /// Panics where the tables do not agree with each other.
     #[cfg(test)]
     pub(super) fn check_invariants(&self, flows: usize) {
-        let used = |pair: &&Pair| matches!(pair.state, PairState::Used(_));
+        let used = |pair: &&Pair| matches!(pair.state, PairState::Used);
         assert_eq!(self.pairs.values().filter(used).count(), flows);
         assert_eq!(self.open.len(), self.sockets.len());
         for (key, socket) in &self.sockets {

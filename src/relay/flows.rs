@@ -1,0 +1,110 @@
+//! The open flows of one worker, found by either side.
+//!
+//! Both indices hold nothing but flow numbers and compare inside the flows, so that a datagram of
+//! one among a hundred thousand touches little memory beside its flow.
+
+use std::hash::BuildHasher;
+use std::net::SocketAddr;
+
+use foldhash::fast::RandomState;
+use hashbrown::HashTable;
+use slab::Slab;
+
+use super::flow::{Endpoints, Flow};
+use super::ids::{FlowId, UpstreamId};
+use super::table::Table;
+
+/// Flows by number, by client, and by server.
+#[derive(Debug, Default)]
+pub(super) struct Flows {
+    flows: Slab<Flow>,
+    by_endpoints: HashTable<FlowId>,
+    by_server: HashTable<FlowId>,
+    hash: RandomState,
+}
+
+impl Flows {
+    /// The flow that a request belongs to.
+    #[inline]
+    pub(super) fn of_request(&self, endpoints: &Endpoints) -> Option<FlowId> {
+        let is_it = |id: &FlowId| self.get(*id).endpoints == *endpoints;
+        self.by_endpoints.find(self.hash.hash_one(endpoints), is_it).copied()
+    }
+
+    /// The flow that a response belongs to.
+    #[inline]
+    pub(super) fn of_response(
+        &self,
+        upstream: UpstreamId,
+        server: SocketAddr,
+        table: &Table,
+    ) -> Option<FlowId> {
+        let is_it = |id: &FlowId| {
+            let flow = self.get(*id);
+            flow.upstream == upstream && table.mapping(flow.mapping).server == server
+        };
+        self.by_server.find(self.hash.hash_one((upstream, server)), is_it).copied()
+    }
+
+    #[inline]
+    pub(super) fn get(&self, id: FlowId) -> &Flow {
+        &self.flows[id.key()]
+    }
+
+    #[inline]
+    pub(super) fn get_mut(&mut self, id: FlowId) -> &mut Flow {
+        &mut self.flows[id.key()]
+    }
+
+    pub(super) fn insert(&mut self, flow: Flow, table: &Table) -> FlowId {
+        let id = FlowId::new(self.flows.insert(flow));
+        self.index_by_endpoints(id);
+        let Self { flows, by_server, hash, .. } = self;
+        let hash_of = |id: &FlowId| hash.hash_one(server_side(&flows[id.key()], table));
+        by_server.insert_unique(hash_of(&id), id, hash_of);
+        id
+    }
+
+    pub(super) fn remove(&mut self, id: FlowId, table: &Table) -> Flow {
+        let flow = self.flows.remove(id.key());
+        let hash = self.hash.hash_one(flow.endpoints);
+        if let Ok(entry) = self.by_endpoints.find_entry(hash, |other| *other == id) {
+            entry.remove();
+        }
+        let hash = self.hash.hash_one(server_side(&flow, table));
+        if let Ok(entry) = self.by_server.find_entry(hash, |other| *other == id) {
+            entry.remove();
+        }
+        flow
+    }
+
+    /// Finds flows anew by their endpoints, which have changed.
+    pub(super) fn reindex(&mut self) {
+        self.by_endpoints.clear();
+        self.ids().for_each(|id| self.index_by_endpoints(id));
+    }
+
+    pub(super) fn iter(&self) -> impl Iterator<Item = (FlowId, &Flow)> {
+        self.flows.iter().map(|(key, flow)| (FlowId::new(key), flow))
+    }
+
+    /// The numbers of all flows, to change them by.
+    pub(super) fn ids(&self) -> std::vec::IntoIter<FlowId> {
+        self.iter().map(|(id, _)| id).collect::<Vec<_>>().into_iter()
+    }
+
+    pub(super) fn len(&self) -> usize {
+        self.flows.len()
+    }
+
+    fn index_by_endpoints(&mut self, id: FlowId) {
+        let Self { flows, by_endpoints, hash, .. } = self;
+        let hash_of = |id: &FlowId| hash.hash_one(flows[id.key()].endpoints);
+        by_endpoints.insert_unique(hash_of(&id), id, hash_of);
+    }
+}
+
+/// What a response's way in is known by.
+fn server_side(flow: &Flow, table: &Table) -> (UpstreamId, SocketAddr) {
+    (flow.upstream, table.mapping(flow.mapping).server)
+}
