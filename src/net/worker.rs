@@ -116,13 +116,13 @@ impl Worker {
                     0
                 }
             };
+            let now = Instant::now();
             std::mem::swap(&mut self.unfinished, &mut unfinished);
             for event in &events[..ready] {
-                self.take(Place::from_key(event.data()));
+                self.take(Place::from_key(event.data()), now);
             }
-            unfinished.drain(..).for_each(|place| self.take(place));
+            unfinished.drain(..).for_each(|place| self.take(place, now));
             self.flush();
-            let now = Instant::now();
             self.busy.note(now, ready);
             if now >= self.next_tick {
                 self.core.expire(now, &mut self.upstream);
@@ -147,12 +147,12 @@ impl Worker {
         EpollTimeout::try_from(wait).unwrap_or(EpollTimeout::ZERO)
     }
 
-    fn take(&mut self, place: Place) {
+    fn take(&mut self, place: Place, now: Instant) {
         self.make_room();
         let received = match place {
             Place::Public(_) if self.drain_until.is_some() => return,
-            Place::Public(id) => self.take_requests(id),
-            Place::Upstream(id) => self.take_responses(id),
+            Place::Public(id) => self.take_requests(id, now),
+            Place::Upstream(id) => self.take_responses(id, now),
             Place::Wake => return self.obey(),
         };
         self.batch.keep(received);
@@ -161,14 +161,13 @@ impl Worker {
         }
     }
 
-    fn take_requests(&mut self, id: ListenerId) -> usize {
+    fn take_requests(&mut self, id: ListenerId, now: Instant) -> usize {
         let public = &self.public[id.0 as usize];
         let received = self.batch.receive(public.socket.as_fd());
         let received = received.unwrap_or_else(|error| {
             self.complaints.note(&error, "cannot receive on a public socket");
             0
         });
-        let now = Instant::now();
         let mut spared = 0;
         for index in 0..received {
             let Some(incoming) = self.batch.incoming(index) else { continue };
@@ -195,13 +194,12 @@ impl Worker {
         received
     }
 
-    fn take_responses(&mut self, id: UpstreamId) -> usize {
+    fn take_responses(&mut self, id: UpstreamId, now: Instant) -> usize {
         let Some(socket) = self.upstream.get(id) else { return 0 };
         let received = self.batch.receive(socket).unwrap_or_else(|error| {
             self.complaints.note(&error, "cannot receive from the servers");
             0
         });
-        let now = Instant::now();
         for index in 0..received {
             let Some(incoming) = self.batch.incoming(index) else { continue };
             let (slot, octets) = (incoming.slot, incoming.octets.len());
