@@ -9,8 +9,8 @@ use std::process::ExitCode;
 
 use comfy_table::{Table, presets};
 
-use super::{BAD_USE, complain};
-use crate::config::{self, Config};
+use super::{complain, load};
+use crate::config::Config;
 use crate::relay::{Mapping, Net, NetKind};
 
 /// Find every fault of a configuration, or show the NAT table and the clients' IPNetTable rows.
@@ -28,12 +28,9 @@ pub(super) struct Args {
 /// Prints all faults and returns exit code 2, or prints the warnings, the NAT table and the
 /// clients' IPNetTable rows.
 pub(super) fn run(args: Args) -> anyhow::Result<ExitCode> {
-    let (config, warnings) = match config::load(&args.config) {
+    let (config, warnings) = match load(&args.config) {
         Ok(sound) => sound,
-        Err(faults) => {
-            complain(faults);
-            return Ok(ExitCode::from(BAD_USE));
-        }
+        Err(code) => return Ok(code),
     };
     for warning in warnings {
         complain(format_args!("warning: {warning}"));

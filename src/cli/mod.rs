@@ -11,13 +11,14 @@ mod run;
 mod signals;
 
 use std::io::{self, Write};
+use std::path::Path;
 use std::process::ExitCode;
 
 use anyhow::anyhow;
 use clap::{Parser, Subcommand};
 use tracing::Level;
 
-use crate::config;
+use crate::config::{self, Config, Warning};
 use crate::log::{self, LogFormat};
 use crate::wire::Password;
 
@@ -88,6 +89,14 @@ pub fn main() -> ExitCode {
     done.unwrap_or_else(|error| {
         complain(format_args!("pnet-nat: {error:#}"));
         ExitCode::FAILURE
+    })
+}
+
+/// Reads a configuration, or tells all of its faults and what to exit with.
+fn load(path: &Path) -> Result<(Config, Vec<Warning>), ExitCode> {
+    config::load(path).map_err(|faults| {
+        complain(faults);
+        ExitCode::from(BAD_USE)
     })
 }
 

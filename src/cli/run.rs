@@ -11,9 +11,9 @@ use tokio::signal::unix::{SignalKind, signal};
 use tokio::sync::Notify;
 
 use super::signals::Signals;
-use super::{BAD_USE, complain};
+use super::{BAD_USE, complain, load};
 use crate::admin;
-use crate::config::{self, Config};
+use crate::config::Config;
 use crate::log::Noise;
 use crate::net::Router;
 
@@ -31,12 +31,9 @@ pub(super) struct Args {
 
 /// Runs the command.
 pub(super) fn run(args: &Args) -> anyhow::Result<ExitCode> {
-    let (config, warnings) = match config::load(&args.config) {
+    let (config, warnings) = match load(&args.config) {
         Ok(sound) => sound,
-        Err(faults) => {
-            complain(faults);
-            return Ok(ExitCode::from(BAD_USE));
-        }
+        Err(code) => return Ok(code),
     };
     for warning in warnings {
         tracing::warn!("{warning}");
