@@ -56,13 +56,16 @@ fn parse(group: &mut Group) {
     }
 }
 
+/// Name, flows, nodes, and whether the servers have a password of their own.
+const SIZES: [(&str, u32, u8, bool); 4] = [
+    ("1 flow", 1, 1, false),
+    ("1 flow, password exchanged", 1, 1, true),
+    ("64 flows, 16 nodes", 64, 16, false),
+    ("100,000 flows, 125 nodes, in random order", 100_000, 125, false),
+];
+
 fn requests(group: &mut Group) {
-    for (name, flows, nodes, device_password) in [
-        ("1 flow", 1, 1, false),
-        ("1 flow, password exchanged", 1, 1, true),
-        ("64 flows, 16 nodes", 64, 16, false),
-        ("100,000 flows, 125 nodes, in random order", 100_000, 125, false),
-    ] {
+    for (name, flows, nodes, device_password) in SIZES {
         let (mut rig, mut turn) = at_work(flows, nodes, device_password);
         let octets: Vec<_> = (0..=nodes).map(request).collect();
         group.bench_function(name, |bencher| {
@@ -77,12 +80,7 @@ fn requests(group: &mut Group) {
 }
 
 fn responses(group: &mut Group) {
-    for (name, flows, nodes, device_password) in [
-        ("1 flow", 1, 1, false),
-        ("1 flow, password exchanged", 1, 1, true),
-        ("64 flows, 16 nodes", 64, 16, false),
-        ("100,000 flows, 125 nodes, in random order", 100_000, 125, false),
-    ] {
+    for (name, flows, nodes, device_password) in SIZES {
         let (mut rig, mut turn) = at_work(flows, nodes, device_password);
         let password = if device_password { DEVICE_PASSWORD } else { PASSWORD };
         let octets: Vec<_> = (0..=nodes).map(|node| response(node, password)).collect();

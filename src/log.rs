@@ -11,7 +11,7 @@ use tokio::time::{self, MissedTickBehavior};
 use tracing::{Level, warn};
 use tracing_appender::non_blocking::{NonBlockingBuilder, WorkerGuard};
 
-use crate::metrics::totals::{NodeTotals, net_ids};
+use crate::metrics::totals::NodeTotals;
 use crate::net::Router;
 use crate::relay::{Direction, DropReason, NetId, SourceSketch};
 
@@ -76,7 +76,7 @@ impl Noise {
 
     /// Starts the first window.
     pub fn new(router: Arc<Router>) -> Self {
-        let nets = net_ids(&router.config().table);
+        let nets = router.config().table.net_ids();
         let reported = nets.map(|net| dropped(&router, net)).collect();
         Self { router, reported, window_began: Instant::now() }
     }
@@ -100,7 +100,7 @@ impl Noise {
     /// Ends the window: writes its lines.
     fn report(&mut self, window: Duration) {
         self.window_began = Instant::now();
-        for net in net_ids(&self.router.config().table) {
+        for net in self.router.config().table.net_ids() {
             let dropped = dropped(&self.router, net);
             let reported = std::mem::replace(&mut self.reported[usize::from(net.0)], dropped);
             for reason in reasons() {

@@ -18,7 +18,7 @@ use serde::{Deserialize, Serialize};
 
 use super::Shared;
 use crate::config::Config;
-use crate::metrics::totals::{DirectionTotals, NetTotals, NodeTotals, mappings_of, net_ids};
+use crate::metrics::totals::{DirectionTotals, NetTotals, NodeTotals};
 use crate::net::Router;
 use crate::relay::{
     CloseReason, Credential, Direction, FlowRecord, Mapping, MappingId, Net, NetId, NetKind, Table,
@@ -30,7 +30,7 @@ const MOST_FLOWS: usize = 100_000;
 /// `GET /api/v1/nets`
 pub(super) async fn nets(State(shared): State<Shared>) -> Response {
     let router = shared.router;
-    let nets = net_ids(&router.config().table);
+    let nets = router.config().table.net_ids();
     json_list("nets", nets.map(move |net| serde_json::to_string(&NetState::of(&router, net))))
 }
 
@@ -176,14 +176,14 @@ impl<'a> NetState<'a> {
             flows_closed: CloseReason::ALL.into_iter().map(closed).collect(),
             accepted_requests: credentials.zip(totals.accepted.iter().copied()).collect(),
             kernel_dropped_datagrams: router.kernel_drops(id).by_cause().into(),
-            nodes: mappings_of(table, id).map(|mapping| NodeState::of(router, mapping)).collect(),
+            nodes: table.mappings_of(id).map(|mapping| NodeState::of(router, mapping)).collect(),
         }
     }
 }
 
 fn subnet(table: &Table, id: NetId) -> Option<IpNet> {
     let NetKind::UdpRange { .. } = table.net(id).kind else { return None };
-    let mut servers = mappings_of(table, id).map(|mapping| table.mapping(mapping).server.ip());
+    let mut servers = table.mappings_of(id).map(|mapping| table.mapping(mapping).server.ip());
     let IpAddr::V4(first) = servers.next()? else { return None };
     let subnet = IpNet::new(first.into(), 24).ok()?.trunc();
     servers.all(|server| subnet.contains(&server)).then_some(subnet)
@@ -280,7 +280,7 @@ struct ConfigInForce<'a> {
     max_flows: u32,
     wrong_password_burst: u16,
     wrong_password_interval_seconds: f64,
-    /// Null: one a core.
+    /// Null: one for each two cores.
     workers: Option<usize>,
     receive_buffer_bytes: usize,
     drain_seconds: f64,
@@ -298,9 +298,9 @@ struct NetConfig<'a> {
 impl<'a> ConfigInForce<'a> {
     fn of(config: &'a Config) -> Self {
         let Config { listen, table, limits, runtime, admin } = config;
-        let nets = net_ids(table).map(|id| NetConfig {
+        let nets = table.net_ids().map(|id| NetConfig {
             rules: NetRules::of(table.net(id)),
-            nodes: mappings_of(table, id).map(|m| Element::of(table.mapping(m))).collect(),
+            nodes: table.mappings_of(id).map(|m| Element::of(table.mapping(m))).collect(),
         });
         Self {
             listen,

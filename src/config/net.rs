@@ -12,7 +12,7 @@ use ipnet::IpNet;
 use crate::relay::{Credential, Net, NetKind};
 
 use super::fault::Place;
-use super::node_range::NodeRange;
+use super::node_range::{LAST_NODE, NodeRange};
 use super::secret::password_file;
 use super::section::{Entry, LONGEST, Section};
 
@@ -20,8 +20,6 @@ use super::section::{Entry, LONGEST, Section};
 const NORMAL_PORT: u16 = 34378;
 /// Where a server takes packages with a password (PAS 5.2.3, `p-net-remote`).
 const SECURE_PORT: u16 = 34379;
-/// the highest node address that is not a broadcast.
-const LAST_NODE: u8 = 125;
 /// the node addresses of broadcasts, whose public ports stay closed.
 const BROADCASTS: [u16; 2] = [126, 127];
 /// A15: the highest start port whose last node still has a UDP port.

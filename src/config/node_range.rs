@@ -3,13 +3,16 @@
 use std::ops::RangeInclusive;
 use std::str::FromStr;
 
+/// Node addresses go up to this (R-11, PAS 8 and 10).
+pub(super) const LAST_NODE: u8 = 125;
+
 /// One node address or a run of them, each within 1..=125 (R-11, PAS 8 and 10).
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct NodeRange(pub RangeInclusive<u8>);
 
 /// A text that is neither a node address nor a range of them.
 #[derive(Debug, thiserror::Error)]
-#[error("node addresses are 1 to 125: write one like \"4\", or a range like \"1-4\"")]
+#[error("node addresses are 1 to {LAST_NODE}: write one like \"4\", or a range like \"1-4\"")]
 pub struct NotANodeRange;
 
 impl FromStr for NodeRange {
@@ -26,7 +29,10 @@ impl FromStr for NodeRange {
 }
 
 fn node_address(text: &str) -> Result<u8, NotANodeRange> {
-    text.parse().ok().filter(|node_address| (1..=125).contains(node_address)).ok_or(NotANodeRange)
+    text.parse()
+        .ok()
+        .filter(|node_address| (1..=LAST_NODE).contains(node_address))
+        .ok_or(NotANodeRange)
 }
 
 #[cfg(test)]

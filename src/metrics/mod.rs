@@ -21,7 +21,7 @@ use prometheus::process_collector::ProcessCollector;
 use prometheus::proto::{Metric, MetricFamily, MetricType};
 
 use self::families::{NET_FAMILIES, NetFamily, NetSums, ROUTER_FAMILIES, RouterFamily};
-use self::totals::{NetTotals, NodeTotals, mappings_of, net_ids};
+use self::totals::{NetTotals, NodeTotals};
 use crate::net::{KernelDrops, Router};
 use crate::relay::NetId;
 
@@ -62,7 +62,7 @@ impl Metrics {
 
     /// One family, net by net, strays last.
     fn net_family(self, family: &'static NetFamily) -> impl Iterator<Item = String> {
-        let nets = net_ids(&self.router.config().table).map(Some).chain([None]);
+        let nets = self.router.config().table.net_ids().map(Some).chain([None]);
         let mut headed = false;
         nets.filter_map(move |net| {
             let sums = net.map_or_else(|| self.stray_sums(), |net| self.net_sums(net));
@@ -85,7 +85,7 @@ impl Metrics {
         };
         NetSums {
             label: &net.name,
-            nodes: mappings_of(table, id).map(node).collect(),
+            nodes: table.mappings_of(id).map(node).collect(),
             net: Some((net, NetTotals::of_net(workers, table, id))),
             kernel_drops: Box::new(move || self.router.kernel_drops(id)),
             started_at: self.started_at,

@@ -86,7 +86,8 @@ impl NodeTotals {
     /// The sum over `workers` for all nodes of a net.
     pub fn of_net(workers: &[Arc<Counters>], table: &Table, net: NetId) -> Self {
         Self::sum(
-            mappings_of(table, net)
+            table
+                .mappings_of(net)
                 .flat_map(|mapping| workers.iter().map(move |worker| worker.node(mapping))),
         )
     }
@@ -152,15 +153,4 @@ impl NetTotals {
     pub fn flows_closed(&self, reason: CloseReason) -> u64 {
         self.flows_closed[reason as usize]
     }
-}
-
-/// All nets of a table.
-pub fn net_ids(table: &Table) -> impl Iterator<Item = NetId> + use<> {
-    (0..table.nets().len()).map(|index| NetId(index as u16))
-}
-
-/// The mappings of one net.
-pub fn mappings_of(table: &Table, net: NetId) -> impl Iterator<Item = MappingId> + '_ {
-    let ids = (0..).map(MappingId);
-    ids.zip(table.mappings()).filter(move |(_, mapping)| mapping.net == net).map(|(id, _)| id)
 }

@@ -1,4 +1,5 @@
-//! Sockets, and the only unsafe code: batches in, batches out, one worker a core.
+//! Sockets, and the only unsafe code: batches in, batches out, workers that share
+//! nothing.
 
 #[allow(unsafe_code)]
 mod address;

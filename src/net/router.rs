@@ -14,7 +14,7 @@ use std::time::{Duration, Instant};
 use nix::sys::eventfd::{EfdFlags, EventFd};
 
 use crate::config::{Config, Prefilter};
-use crate::relay::{Core, Counters, FlowRecord, MappingId, NetId, Rules};
+use crate::relay::{Core, Counters, FlowRecord, NetId, Rules};
 
 use super::descriptors::{self, Plan, TooFewDescriptors};
 use super::public::{KernelDrops, PublicSocket};
@@ -207,7 +207,7 @@ impl Handle {
 fn bind(config: &Config, workers: usize) -> Result<Vec<Arc<[PublicSocket]>>, StartError> {
     let mut public: Vec<_> = (0..workers).map(|_| Vec::new()).collect();
     let mut granted = config.runtime.receive_buffer;
-    for (mapping, id) in config.table.mappings().iter().zip((0..).map(MappingId)) {
+    for (mapping, id) in config.table.mappings().iter().zip(config.table.mapping_ids()) {
         for &address in &config.listen {
             let listen = SocketAddr::new(address, mapping.public_port);
             let sockets = socket::public(listen, workers, config.runtime.receive_buffer)

@@ -143,6 +143,21 @@ impl Table {
         &self.mappings
     }
 
+    /// The indices of all nets, in their order.
+    pub fn net_ids(&self) -> impl Iterator<Item = NetId> + use<> {
+        (0..self.nets.len()).map(|index| NetId(index as u16))
+    }
+
+    /// The indices of all mappings, in their order.
+    pub fn mapping_ids(&self) -> impl Iterator<Item = MappingId> + use<> {
+        (0..self.mappings.len()).map(|index| MappingId(index as u32))
+    }
+
+    /// The indices of one net's mappings, in their order.
+    pub fn mappings_of(&self, net: NetId) -> impl Iterator<Item = MappingId> + '_ {
+        self.mapping_ids().filter(move |&id| self.mapping(id).net == net)
+    }
+
     /// The net with this index.
     pub fn net(&self, id: NetId) -> &Net {
         &self.nets[usize::from(id.0)]

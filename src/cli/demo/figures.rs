@@ -120,7 +120,7 @@ impl NodeFigures {
 }
 
 fn mappings(router: &Router) -> impl Iterator<Item = MappingId> {
-    (0..router.config().table.mappings().len() as u32).map(MappingId)
+    router.config().table.mapping_ids()
 }
 
 fn relayed(router: &Router, mapping: MappingId, direction: Direction) -> Relayed {
