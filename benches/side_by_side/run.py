@@ -23,9 +23,15 @@ SCENARIOS = {
     "throughput": dict(
         about="16 nodes, 64 flows, 16 requests under way in each", nodes=16,
         load=["--sockets", 64, "--window", 16]),
+    "throughput-1cpu": dict(
+        about="the same with everything on one core: what a round trip costs in all", nodes=16,
+        load=["--sockets", 64, "--window", 16], cpus="0:0:0"),
     "thin": dict(
         about="16 nodes, 256 flows, 1 request under way in each: nothing batches by itself",
         nodes=16, load=["--sockets", 256]),
+    "thin-1cpu": dict(
+        about="the same with everything on one core", nodes=16, load=["--sockets", 256],
+        cpus="0:0:0"),
     "open": dict(
         about="16 nodes, 64 flows, 30,000 requests/s whatever comes back", nodes=16,
         load=["--sockets", 64, "--rate", 30000]),

@@ -74,12 +74,16 @@ impl Name {
     }
 }
 
-/// Room for one control message: the local address of a datagram, in or out.
+/// Room for control messages: the local address of a datagram, in or out, and on the way out the
+/// length of the datagrams that leave as one.
 #[derive(Clone, Copy)]
 #[repr(C)]
 pub(super) struct Control {
     header: libc::cmsghdr,
     local: Local,
+    /// Room for [`add_segment_len`](Self::add_segment_len), whose place depends on what stands
+    /// before it.
+    more: [libc::cmsghdr; 2],
 }
 
 #[derive(Clone, Copy)]
@@ -152,6 +156,29 @@ impl Control {
         self.header.cmsg_len = (CONTENT + len) as _;
         (CONTENT + len).next_multiple_of(align_of::<libc::cmsghdr>())
     }
+
+    /// Adds, behind the `len` octets of [`set_source`](Self::set_source), the message that makes
+    /// the kernel cut what is sent into datagrams of so many octets, and returns the octets that
+    /// both take.
+    #[inline]
+    pub(super) fn add_segment_len(&mut self, len: usize, octets: u16) -> usize {
+        const LEN: usize = CONTENT + size_of::<u16>();
+        let end = len + LEN.next_multiple_of(align_of::<libc::cmsghdr>());
+        assert!(end <= Self::CAPACITY);
+        // SAFETY: a header of plain integers, for which all zero is valid.
+        let mut header: libc::cmsghdr = unsafe { mem::zeroed() };
+        header.cmsg_level = libc::SOL_UDP;
+        header.cmsg_type = libc::UDP_SEGMENT;
+        header.cmsg_len = LEN as _;
+        // SAFETY: both writes end before `end`, which lies within `self`, as was just seen; they
+        // need no alignment, and any octets are valid where they go.
+        unsafe {
+            let place = ptr::from_mut(self).cast::<u8>().add(len);
+            place.cast::<libc::cmsghdr>().write_unaligned(header);
+            place.add(CONTENT).cast::<u16>().write_unaligned(octets);
+        }
+        end
+    }
 }
 
 fn in_addr(address: Ipv4Addr) -> libc::in_addr {
@@ -187,6 +214,9 @@ mod tests {
             assert!(len <= Control::CAPACITY);
             assert_eq!(control.local_address(len), Some(source));
             assert_eq!(control.local_address(0), None);
+            let with_segments = control.add_segment_len(len, 42);
+            assert!(len < with_segments && with_segments <= Control::CAPACITY);
+            assert_eq!(control.local_address(len), Some(source), "still there");
         }
     }
 }

@@ -5,15 +5,21 @@
 //!
 //! The receive buffer is the send buffer: what was received stays in its slot until it has been
 //! sent on. A message header's pointers are set right before the call that follows them.
+//!
+//! Datagrams of one length to one receiver are handed over as one message, which the kernel cuts
+//! apart as late as it can (UDP_SEGMENT): a burst goes through most of the system once.
 
 use std::io;
 use std::mem;
 use std::net::{IpAddr, SocketAddr};
 use std::os::fd::{AsRawFd, BorrowedFd};
 
+use nix::errno::Errno;
+
 use crate::relay::{Direction, MappingId};
 
 use super::address::{Control, Name};
+use super::socket;
 
 /// Octets kept of a datagram. A longer one is cut, and still longer than any that is accepted.
 const SLOT: usize = 128;
@@ -21,6 +27,8 @@ const SLOT: usize = 128;
 const SLOTS: usize = 512;
 /// Datagrams taken from one socket before the next one has its turn.
 pub(super) const AT_ONCE: usize = 32;
+/// Datagrams that one message may be cut into; older kernels refuse more.
+const SEGMENTS: usize = 64;
 
 #[derive(Clone, Copy)]
 #[repr(align(64))]
@@ -36,6 +44,8 @@ pub(super) struct Batch {
     queue: Vec<Outgoing>,
     /// Slots that hold datagrams until the flush.
     used: usize,
+    /// Whether the kernel cuts messages into datagrams.
+    segments: bool,
 }
 
 // SAFETY: the pointers in `headers` and `parts` are leftovers between calls: each call that has the
@@ -58,6 +68,8 @@ pub(super) struct Incoming<'a> {
 struct Outgoing {
     /// Which socket sends it, in the caller's own numbers.
     key: u64,
+    /// The same for all datagrams to one receiver.
+    peer: u64,
     slot: usize,
     name_len: libc::socklen_t,
     control_len: usize,
@@ -84,6 +96,7 @@ impl Batch {
             parts: vec![part; SLOTS].into(),
             queue: Vec::with_capacity(SLOTS),
             used: 0,
+            segments: socket::cuts_messages(),
         }
     }
 
@@ -164,78 +177,228 @@ impl Batch {
     ) {
         let name_len = self.names[slot].set(to);
         let control_len = from.map_or(0, |from| self.controls[slot].set_source(from));
-        self.queue.push(Outgoing { key, slot, name_len, control_len, tag });
+        self.queue.push(Outgoing { key, peer: peer(to), slot, name_len, control_len, tag });
     }
 
     /// Sends all that is queued, a system call a socket where the kernel takes all at once, and
-    /// reports each outcome. Datagrams to the same socket leave in the order they were queued.
+    /// reports each outcome. Datagrams from one socket to one receiver leave in the order they were
+    /// queued.
     pub(super) fn flush<'s>(
         &mut self,
         socket: impl Fn(u64) -> Option<BorrowedFd<'s>>,
         mut outcome: impl FnMut(Tag, io::Result<()>),
     ) {
-        // Slots only grow until the flush, so they keep the order within a socket.
-        self.queue.sort_unstable_by_key(|outgoing| (outgoing.key, outgoing.slot));
-        for (place, outgoing) in self.queue.iter().enumerate() {
-            let part = &mut self.parts[place];
-            part.iov_base = self.octets[outgoing.slot].0.as_mut_ptr().cast();
-            part.iov_len = outgoing.tag.octets;
-            let header = &mut self.headers[place].msg_hdr;
-            header.msg_iov = part;
-            header.msg_iovlen = 1;
-            header.msg_name = self.names[outgoing.slot].as_mut_ptr();
-            header.msg_namelen = outgoing.name_len;
-            header.msg_control = self.controls[outgoing.slot].as_mut_ptr();
-            header.msg_controllen = outgoing.control_len as _;
-        }
-        let mut place = 0;
-        for run in self.queue.chunk_by(|a, b| a.key == b.key) {
-            let headers = &mut self.headers[place..place + run.len()];
-            place += run.len();
+        let mut queue = mem::take(&mut self.queue);
+        // Slots only grow until the flush, so they keep the order.
+        queue.sort_unstable_by_key(|outgoing| (outgoing.key, outgoing.peer, outgoing.slot));
+        for run in queue.chunk_by(|a, b| a.key == b.key) {
             match socket(run[0].key) {
-                Some(socket) => send(socket, headers, run, &mut outcome),
+                Some(socket) => self.send(socket, run, &mut outcome),
                 None => run.iter().for_each(|datagram| {
                     outcome(datagram.tag, Err(io::ErrorKind::NotConnected.into()));
                 }),
             }
         }
-        self.queue.clear();
+        queue.clear();
+        self.queue = queue;
         self.used = 0;
+    }
+
+    /// Sends datagrams that leave from one socket.
+    fn send(
+        &mut self,
+        socket: BorrowedFd<'_>,
+        mut run: &[Outgoing],
+        outcome: &mut impl FnMut(Tag, io::Result<()>),
+    ) {
+        let messages = self.prepare(run);
+        let mut next = 0;
+        while next < messages {
+            let sent = send(socket, &mut self.headers[next..messages]);
+            let tried = &self.headers[next..next + sent.unwrap_or(1)];
+            let datagrams = tried.iter().map(|message| message.msg_hdr.msg_iovlen as usize).sum();
+            if let Err(error) = sent
+                && datagrams > 1
+            {
+                // Perhaps the way to this receiver knows no segments, perhaps the system is short
+                // of memory: each datagram has its own chance, and so have those behind it.
+                self.segments = false;
+                self.send(socket, run, outcome);
+                self.segments = error != Errno::EIO; // no checksums on some way out
+                return;
+            }
+            next += tried.len();
+            let (done, rest) = run.split_at(datagrams);
+            run = rest;
+            for datagram in done {
+                outcome(datagram.tag, sent.map(drop).map_err(io::Error::from));
+            }
+        }
+    }
+
+    /// Sets up the messages that carry the datagrams, and returns how many there are.
+    fn prepare(&mut self, run: &[Outgoing]) -> usize {
+        let mut messages = 0;
+        let mut first = 0;
+        for (place, outgoing) in run.iter().enumerate() {
+            self.parts[place] = libc::iovec {
+                iov_base: self.octets[outgoing.slot].0.as_mut_ptr().cast(),
+                iov_len: outgoing.tag.octets,
+            };
+            if self.continues(&run[first..place], outgoing) {
+                let header = &mut self.headers[messages - 1].msg_hdr;
+                let Outgoing { slot, control_len, tag, .. } = &run[first];
+                let segment = tag.octets as u16; // a slot's length at most
+                header.msg_controllen =
+                    self.controls[*slot].add_segment_len(*control_len, segment) as _;
+                header.msg_iovlen += 1;
+                continue;
+            }
+            let header = &mut self.headers[messages].msg_hdr;
+            header.msg_iov = &mut self.parts[place];
+            header.msg_iovlen = 1;
+            header.msg_name = self.names[outgoing.slot].as_mut_ptr();
+            header.msg_namelen = outgoing.name_len;
+            header.msg_control = self.controls[outgoing.slot].as_mut_ptr();
+            header.msg_controllen = outgoing.control_len as _;
+            messages += 1;
+            first = place;
+        }
+        messages
+    }
+
+    /// Whether a datagram can be the next segment of a message: all are of one length, but for the
+    /// last, which may be shorter.
+    fn continues(&self, message: &[Outgoing], next: &Outgoing) -> bool {
+        let (Some(first), Some(last)) = (message.first(), message.last()) else { return false };
+        let name = |of: &Outgoing| self.names[of.slot].address(of.name_len);
+        let source = |of: &Outgoing| self.controls[of.slot].local_address(of.control_len);
+        self.segments
+            && message.len() < SEGMENTS
+            && first.peer == next.peer
+            && first.tag.octets == last.tag.octets
+            && first.tag.octets >= next.tag.octets
+            && name(first) == name(next)
+            && source(first) == source(next)
     }
 }
 
-fn send(
-    socket: BorrowedFd<'_>,
-    headers: &mut [libc::mmsghdr],
-    run: &[Outgoing],
-    outcome: &mut impl FnMut(Tag, io::Result<()>),
-) {
-    let mut done = 0;
-    while done < run.len() {
-        let rest = &mut headers[done..];
-        // SAFETY: `rest` is an exclusive slice of headers that `flush` has just pointed at slots of
-        // boxed slices of the batch, which it borrows exclusively for the whole call. A part's
-        // length is the datagram's, which fits its slot since it was received into it.
+/// A number for a receiver, which strangers to each other hardly ever share.
+fn peer(address: SocketAddr) -> u64 {
+    let ip = match address.ip() {
+        IpAddr::V4(address) => address.to_bits().into(),
+        IpAddr::V6(address) => {
+            let bits = address.to_bits();
+            (bits >> 64) as u64 ^ bits as u64
+        }
+    };
+    ip.rotate_left(16) ^ u64::from(address.port())
+}
+
+/// Sends as many messages as the kernel takes; the error is the first one's.
+fn send(socket: BorrowedFd<'_>, messages: &mut [libc::mmsghdr]) -> nix::Result<usize> {
+    loop {
+        // SAFETY: `messages` is an exclusive slice of headers that `prepare` has just pointed at
+        // slots of boxed slices of the batch, which its caller borrows exclusively. A part's length
+        // is the datagram's, which fits its slot since it was received into it; the parts of a
+        // message stand one behind the other.
         let sent = unsafe {
             libc::syscall(
                 libc::SYS_sendmmsg,
                 socket.as_raw_fd(),
-                rest.as_mut_ptr(),
-                rest.len(),
+                messages.as_mut_ptr(),
+                messages.len(),
                 libc::MSG_DONTWAIT,
             )
         };
-        if sent > 0 {
-            let taken = sent as usize;
-            run[done..done + taken].iter().for_each(|datagram| outcome(datagram.tag, Ok(())));
-            done += taken;
-            continue;
+        match Errno::result(sent) {
+            Err(Errno::EINTR) => {}
+            sent => return sent.map(|sent| sent as usize),
         }
-        // The error is the first datagram's; those behind it have their own chance.
-        let error = io::Error::last_os_error();
-        if error.kind() != io::ErrorKind::Interrupted {
-            outcome(run[done].tag, Err(error));
-            done += 1;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::net::UdpSocket;
+    use std::os::fd::AsFd;
+    use std::time::Duration;
+
+    use super::*;
+
+    const TAG: Tag = Tag { mapping: MappingId(0), direction: Direction::Response, octets: 0 };
+
+    fn receiver(address: &str) -> UdpSocket {
+        let socket = UdpSocket::bind((address, 0)).unwrap();
+        socket.set_read_timeout(Some(Duration::from_secs(5))).unwrap();
+        socket
+    }
+
+    /// Queues datagrams of these lengths; each octet tells its datagram's number.
+    fn queue(batch: &mut Batch, key: u64, lengths: &[u8], from: Option<IpAddr>, to: SocketAddr) {
+        for (number, &len) in (0..).zip(lengths) {
+            let octets = usize::from(len);
+            batch.octets[batch.used].0[..octets].fill(number);
+            batch.queue(batch.used, key, from, to, Tag { octets, ..TAG });
+            batch.keep(1);
         }
+    }
+
+    /// Sends what is queued and returns how many datagrams the system took, and how many not.
+    fn flush(batch: &mut Batch, socket: &UdpSocket) -> (usize, usize) {
+        let (mut taken, mut refused) = (0, 0);
+        batch.flush(
+            |_| Some(socket.as_fd()),
+            |_, outcome| match outcome {
+                Ok(()) => taken += 1,
+                Err(_) => refused += 1,
+            },
+        );
+        (taken, refused)
+    }
+
+    fn expect(receiver: &UdpSocket, lengths: &[u8], from: IpAddr) {
+        for (number, &len) in (0..).zip(lengths) {
+            let mut octets = [0; SLOT];
+            let (got, sender) = receiver.recv_from(&mut octets).unwrap();
+            assert_eq!(octets[..got], vec![number; usize::from(len)]);
+            assert_eq!(sender.ip(), from);
+        }
+    }
+
+    #[test]
+    fn bursts_arrive_as_they_were_queued() {
+        let lengths: Vec<u8> = [&[38, 38, 38, 20, 38, 38, 60, 16][..], &[30; 70]].concat();
+        for (any, address) in [("0.0.0.0", "127.0.0.3"), ("::", "::1")] {
+            let from: IpAddr = address.parse().unwrap();
+            let socket = UdpSocket::bind((any, 0)).unwrap();
+            let (one, other) = (receiver(address), receiver(address));
+            for (segments, messages) in [(true, 5), (false, lengths.len())] {
+                let mut batch = Batch::new();
+                batch.segments &= segments;
+                queue(&mut batch, 1, &lengths, Some(from), one.local_addr().unwrap());
+                let queue_of_one = mem::take(&mut batch.queue);
+                assert_eq!(batch.prepare(&queue_of_one), messages);
+                batch.queue = queue_of_one;
+                queue(&mut batch, 1, &lengths, Some(from), other.local_addr().unwrap());
+                queue(&mut batch, 2, &lengths, Some(from), one.local_addr().unwrap());
+                assert_eq!(flush(&mut batch, &socket), (3 * lengths.len(), 0));
+                expect(&one, &lengths, from);
+                expect(&one, &lengths, from);
+                expect(&other, &lengths, from);
+            }
+        }
+    }
+
+    #[test]
+    fn a_refused_burst_hurts_nobody_else() {
+        let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
+        let good = receiver("127.0.0.1");
+        let mut batch = Batch::new();
+        queue(&mut batch, 1, &[38; 3], None, "127.0.0.1:0".parse().unwrap());
+        queue(&mut batch, 1, &[38; 4], None, good.local_addr().unwrap());
+        assert_eq!(flush(&mut batch, &socket), (4, 3), "nobody listens on port 0");
+        expect(&good, &[38; 4], "127.0.0.1".parse().unwrap());
+        assert!(batch.segments);
     }
 }

@@ -52,6 +52,12 @@ pub(super) fn upstream(ipv4: bool, receive_buffer: usize) -> io::Result<(Socket,
     Ok((socket, port))
 }
 
+/// Whether the kernel cuts a message into datagrams when it is asked to (UDP_SEGMENT, Linux 4.18).
+pub(super) fn cuts_messages() -> bool {
+    let socket = Socket::new(Domain::IPV4, Type::DGRAM, Some(Protocol::UDP));
+    socket.is_ok_and(|socket| setsockopt(&socket, sockopt::UdpGsoSegment, &0).is_ok())
+}
+
 /// Octets of receive buffer that a socket got. The kernel grants twice what it counts as payload,
 /// for its own bookkeeping.
 pub(super) fn receive_buffer(socket: &Socket) -> io::Result<usize> {
