@@ -216,7 +216,7 @@ impl Batch {
         while next < messages {
             let sent = send(socket, &mut self.headers[next..messages]);
             let tried = &self.headers[next..next + sent.unwrap_or(1)];
-            let datagrams = tried.iter().map(|message| message.msg_hdr.msg_iovlen as usize).sum();
+            let datagrams = tried.iter().map(segments).sum();
             if let Err(error) = sent
                 && datagrams > 1
             {
@@ -281,6 +281,11 @@ impl Batch {
             && name(first) == name(next)
             && source(first) == source(next)
     }
+}
+
+/// Datagrams that a message carries. The C libraries disagree on the type.
+fn segments(message: &libc::mmsghdr) -> usize {
+    message.msg_hdr.msg_iovlen as _
 }
 
 /// A number for a receiver, which strangers to each other hardly ever share.
