@@ -8,52 +8,21 @@ use std::net::SocketAddr;
 use nix::sys::signal::Signal;
 
 use crate::harness::{
-    ANNOTATED, FIGURE_10, Network, PASSWORD, Packet, Peer, Process, Relay, WRONG, close, datagram,
-    eventually, exchange, folder, pnet_nat, request, response,
+    ANNOTATED, FIGURE_10, Network, PASSWORD, Packet, Peer, Process, Relay, Settings, WRONG, close,
+    datagram, eventually, exchange, folder, pnet_nat, request, response,
 };
 
-fn start_annotated() -> Relay {
-    Relay::start(ANNOTATED, admin(), None)
+fn start_annotated(network: &Network) -> Relay {
+    Relay::start(ANNOTATED, network.place("").admin, None)
 }
 
-/// Every client is allowed, from wherever it comes.
-fn start(listen: &str) -> Relay {
-    start_with(listen, "")
+fn start(network: &Network, listen: &str) -> Relay {
+    start_with(network, listen, "")
 }
 
-fn start_with(listen: &str, sections: &str) -> Relay {
-    let configuration = format!(
-        r#"
-[public]
-listen = {listen}
-
-[runtime]
-workers = 2
-drain = "100ms"
-
-[[udp_range_net]]
-name = "section-1"
-start_port = 40000
-subnet = "172.17.17.0"
-nodes = ["1-4", 33]
-allow = ["0.0.0.0/0", "::/0"]
-
-[[udp_range_net.password]]
-name = "service"
-file = "secrets/section-1"
-
-{sections}
-"#
-    );
-    Relay::start(&configuration, admin(), None)
-}
-
-fn admin() -> SocketAddr {
-    "127.0.0.1:9378".parse().unwrap()
-}
-
-fn public(address: &str, node_address: u8) -> SocketAddr {
-    (address.parse::<std::net::IpAddr>().unwrap(), 40000 + u16::from(node_address)).into()
+fn start_with(network: &Network, listen: &str, sections: &str) -> Relay {
+    let runtime = "workers = 2\ndrain = \"100ms\"";
+    network.place(listen).relay(&Settings { runtime, sections, ..Settings::default() })
 }
 
 /// R-8, R-10, R-11, N-5, RFC 4787 REQ-10: both sides captured and compared.
@@ -61,13 +30,13 @@ fn public(address: &str, node_address: u8) -> SocketAddr {
 fn figure_10_crosses_the_edge_unchanged() {
     let Some(network) = Network::build() else { return };
     network.at_the_edge(|| {
-        let relay = start_annotated();
+        let relay = start_annotated(&network);
         let node = network.node(4);
         let client = network.client("198.51.100.7");
         let (outside, inside) = (network.internet.capture(), network.plant.capture());
 
         let asked = datagram(&FIGURE_10, &[], PASSWORD);
-        let public = public("198.51.100.1", 4);
+        let public = network.public("198.51.100.1", 4);
         client.send(public, &asked);
         let from_relay = node.expect(&asked);
         node.send(from_relay, &response(4));
@@ -95,7 +64,7 @@ fn figure_10_crosses_the_edge_unchanged() {
 fn three_processes_in_three_networks() {
     let Some(network) = Network::build() else { return };
     network.at_the_edge(|| {
-        let relay = start_annotated();
+        let relay = start_annotated(&network);
         let folder = folder("");
         let password = folder.path().join("secrets/section-1");
         let password = password.to_str().unwrap();
@@ -141,7 +110,7 @@ fn an_answer_leaves_from_the_address_that_was_asked() {
     network.at_the_edge(|| {
         let each = r#"["198.51.100.1", "203.0.113.1", "2001:db8:1::1", "2001:db8:2::1"]"#;
         for listen in [r#"["0.0.0.0", "::"]"#, each] {
-            let relay = start(listen);
+            let relay = start(&network, listen);
             let nodes = [1, 4, 33].map(|node_address| (node_address, network.node(node_address)));
             let ways = [
                 ("198.51.100.7:50000", "198.51.100.1"),
@@ -157,8 +126,12 @@ fn an_answer_leaves_from_the_address_that_was_asked() {
                 let client = network.internet.peer(from.parse().unwrap());
                 for _ in 0..2 {
                     for (node_address, node) in &nodes {
-                        let port =
-                            exchange(&client, public(to, *node_address), node, *node_address);
+                        let port = exchange(
+                            &client,
+                            network.public(to, *node_address),
+                            node,
+                            *node_address,
+                        );
                         ports.push(((from, to), port));
                     }
                 }
@@ -177,11 +150,11 @@ fn an_answer_leaves_from_the_address_that_was_asked() {
 fn a_client_in_the_plant_reaches_the_public_address() {
     let Some(network) = Network::build() else { return };
     network.at_the_edge(|| {
-        let relay = start(r#"["0.0.0.0"]"#);
+        let relay = start(&network, r#"["0.0.0.0"]"#);
         let node = network.node(4);
         let client = network.plant.peer("172.17.17.100:0".parse().unwrap());
         for address in ["198.51.100.1", "203.0.113.1"] {
-            exchange(&client, public(address, 4), &node, 4);
+            exchange(&client, network.public(address, 4), &node, 4);
         }
         relay.expect_drops(&[]);
         relay.finish();
@@ -193,9 +166,9 @@ fn a_client_in_the_plant_reaches_the_public_address() {
 fn a_node_that_was_down_is_reached_again() {
     let Some(network) = Network::build() else { return };
     network.at_the_edge(|| {
-        let relay = start(r#"["0.0.0.0"]"#);
+        let relay = start(&network, r#"["0.0.0.0"]"#);
         let (client, node) = (network.client("198.51.100.7"), network.node(4));
-        let public = public("198.51.100.1", 4);
+        let public = network.public("198.51.100.1", 4);
         let port = exchange(&client, public, &node, 4);
         let server = node.address();
         network.plant.enter(|| close(node));
@@ -224,11 +197,11 @@ fn a_flood_causes_no_packet_on_either_side() {
     network.at_the_edge(|| {
         for prefilter in ["off", "auto", "always"] {
             let limits = format!("[limits]\nprefilter = \"{prefilter}\"");
-            let relay = start_with(r#"["0.0.0.0", "::"]"#, &limits);
+            let relay = start_with(&network, r#"["0.0.0.0", "::"]"#, &limits);
             let (client, node) = (network.client("198.51.100.7"), network.node(4));
             let (outside, inside) = (network.internet.capture(), network.plant.capture());
             let sent = flood(&network, &relay);
-            let from_relay = exchange(&client, public("198.51.100.1", 4), &node, 4);
+            let from_relay = exchange(&client, network.public("198.51.100.1", 4), &node, 4);
 
             let (outside, inside) = (outside.end(), inside.end());
             assert_eq!(outside.len() as u64, sent + 2, "what strangers sent, and one exchange");
@@ -263,7 +236,7 @@ fn flood(network: &Network, relay: &Relay) -> u64 {
     for (from, to) in [("198.51.100.8", "198.51.100.1"), ("2001:db8:1::7", "2001:db8:1::1")] {
         let stranger = network.client(from);
         for octets in kinds.iter().cycle().take(1500) {
-            stranger.send(public(to, 4), octets);
+            stranger.send(network.public(to, 4), octets);
             sent += 1;
             if sent % 100 == 0 {
                 // Not faster than they are taken: no buffer is to overflow.
@@ -286,11 +259,11 @@ fn flood(network: &Network, relay: &Relay) -> u64 {
 fn nothing_listens_at_the_broadcast_addresses() {
     let Some(network) = Network::build() else { return };
     network.at_the_edge(|| {
-        let relay = start_annotated();
+        let relay = start_annotated(&network);
         let client = network.client("198.51.100.7");
         let (outside, inside) = (network.internet.capture(), network.plant.capture());
         for node_address in [126, 127] {
-            client.send(public("198.51.100.1", node_address), &request(node_address));
+            client.send(network.public("198.51.100.1", node_address), &request(node_address));
         }
         eventually("the host refuses both", || {
             let refused = |packet: &&Packet| matches!(packet, Packet::PortUnreachable { .. });
@@ -307,9 +280,9 @@ fn nothing_listens_at_the_broadcast_addresses() {
 fn a_network_that_was_gone_is_used_again() {
     let Some(network) = Network::build() else { return };
     network.at_the_edge(|| {
-        let relay = start(r#"["0.0.0.0"]"#);
+        let relay = start(&network, r#"["0.0.0.0"]"#);
         let (client, node) = (network.client("198.51.100.7"), network.node(4));
-        let public = public("198.51.100.1", 4);
+        let public = network.public("198.51.100.1", 4);
         exchange(&client, public, &node, 4);
 
         network.edge.ip("link set eth1 down");
@@ -340,12 +313,12 @@ fn a_network_that_was_gone_is_used_again() {
 fn only_allowed_networks_come_in() {
     let Some(network) = Network::build() else { return };
     network.at_the_edge(|| {
-        let relay = start_annotated();
+        let relay = start_annotated(&network);
         let (allowed, stranger) = (network.client("198.51.100.7"), network.client("203.0.113.7"));
         let node = network.node(4);
         let inside = network.plant.capture();
-        send_and_expect_silence(&stranger, public("203.0.113.1", 4), &relay);
-        exchange(&allowed, public("203.0.113.1", 4), &node, 4);
+        send_and_expect_silence(&stranger, network.public("203.0.113.1", 4), &relay);
+        exchange(&allowed, network.public("203.0.113.1", 4), &node, 4);
         assert_eq!(inside.end().len(), 2);
         assert_eq!(stranger.waiting(), None);
         relay.finish();

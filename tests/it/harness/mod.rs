@@ -21,7 +21,7 @@ pub(crate) use octets::{
     DEVICE, FIGURE_10, PASSWORD, PASSWORDS, SECOND, WRONG, datagram, request, response,
 };
 pub(crate) use process::{Process, pnet_nat, pnet_nat_within};
-pub(crate) use relay::{ANNOTATED, Relay, Settings, folder};
+pub(crate) use relay::{ANNOTATED, Place, Relay, Settings, folder};
 pub(crate) use site::{Peer, Site, close, exchange};
 
 /// How long something may take that should take no time: a busy machine is not a fault.
@@ -47,7 +47,20 @@ pub(crate) fn pause(time: Duration) {
 
 /// Says that a scenario is left out for want of something; fails where all have to run.
 pub(crate) fn left_out(want: &str) {
-    let all = std::env::var_os("PNET_NAT_TESTS").is_some_and(|tests| tests == "all");
-    assert!(!all, "PNET_NAT_TESTS=all, and there is a want: {want}");
+    let all = ["all", "nightly"].contains(&tests_wanted().as_str());
+    assert!(!all, "PNET_NAT_TESTS={}, and there is a want: {want}", tests_wanted());
     println!("left out: {want}");
+}
+
+/// Whether what takes minutes is to run as well; says so where it is not.
+pub(crate) fn nightly() -> bool {
+    let nightly = tests_wanted() == "nightly";
+    if !nightly {
+        println!("left out: it takes minutes; PNET_NAT_TESTS=nightly runs it, beside all others");
+    }
+    nightly
+}
+
+fn tests_wanted() -> String {
+    std::env::var("PNET_NAT_TESTS").unwrap_or_default()
 }

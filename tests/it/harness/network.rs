@@ -13,7 +13,7 @@ use std::thread;
 
 use nix::sched::{CloneFlags, setns};
 
-use super::{Capture, Peer, left_out};
+use super::{Capture, Peer, Place, left_out};
 
 /// The edge's public addresses are the .1 and ::1 of the same networks.
 const INTERNET: &str = "
@@ -40,6 +40,9 @@ const PLANT: &str = "
     address add 172.17.17.33/24 dev eth0
     address add 172.17.17.100/24 dev eth0
     route add default via 172.17.17.254 src 172.17.17.100";
+
+/// The same as in the annotated configuration.
+const START_PORT: u16 = 40000;
 
 /// The three namespaces.
 #[derive(Debug)]
@@ -81,6 +84,22 @@ impl Network {
     /// A client on the Internet.
     pub(crate) fn client(&self, address: &str) -> Peer {
         self.internet.peer((address.parse::<IpAddr>().unwrap(), 0).into())
+    }
+
+    /// A relay at the edge, to be started from there: in front of the nodes, for every client.
+    pub(crate) fn place<'a>(&self, listen: &'a str) -> Place<'a> {
+        Place {
+            listen,
+            admin: (Ipv4Addr::LOCALHOST, 9378).into(),
+            start_port: START_PORT,
+            subnet: Ipv4Addr::new(172, 17, 17, 0),
+            allow: r#"["0.0.0.0/0", "::/0"]"#,
+        }
+    }
+
+    /// Where a node is reached from outside (R-10).
+    pub(crate) fn public(&self, address: &str, node_address: u8) -> SocketAddr {
+        (address.parse::<IpAddr>().unwrap(), START_PORT + u16::from(node_address)).into()
     }
 
     fn cable(&self) {
@@ -141,13 +160,40 @@ impl Namespace {
     /// Runs commands of `ip`, one a line.
     #[track_caller]
     pub(crate) fn ip(&self, commands: &str) {
-        let mut ip = Command::new("ip")
-            .args(["-netns", &self.name, "-batch", "-"])
-            .stdin(Stdio::piped())
-            .spawn()
-            .unwrap();
-        ip.stdin.take().unwrap().write_all(commands.as_bytes()).unwrap();
-        assert!(ip.wait().unwrap().success(), "{commands}");
+        self.batch(&["ip", "-batch", "-"], commands);
+    }
+
+    /// Runs commands of `tc`, one a line.
+    #[track_caller]
+    pub(crate) fn tc(&self, commands: &str) {
+        self.batch(&["tc", "-batch", "-"], commands);
+    }
+
+    /// Loads a rule set of the kernel's packet filter.
+    #[track_caller]
+    pub(crate) fn nft(&self, rules: &str) {
+        self.batch(&["nft", "-f", "-"], rules);
+    }
+
+    /// What a command prints.
+    #[track_caller]
+    pub(crate) fn output(&self, command: &[&str]) -> String {
+        let output = self.command(command).output().unwrap();
+        assert!(output.status.success(), "{command:?}: {output:?}");
+        String::from_utf8(output.stdout).unwrap()
+    }
+
+    #[track_caller]
+    fn batch(&self, command: &[&str], input: &str) {
+        let mut child = self.command(command).stdin(Stdio::piped()).spawn().unwrap();
+        child.stdin.take().unwrap().write_all(input.as_bytes()).unwrap();
+        assert!(child.wait().unwrap().success(), "{command:?}: {input}");
+    }
+
+    fn command(&self, command: &[&str]) -> Command {
+        let mut ip = Command::new("ip");
+        ip.args(["netns", "exec", &self.name]).args(command);
+        ip
     }
 
     pub(crate) fn peer(&self, address: SocketAddr) -> Peer {

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::fs::{self, Permissions};
-use std::net::SocketAddr;
+use std::net::{Ipv4Addr, SocketAddr};
 use std::os::unix::fs::PermissionsExt;
 
 use nix::sys::signal::Signal;
@@ -63,35 +63,66 @@ pub(crate) fn folder(configuration: &str) -> TempDir {
     folder
 }
 
-impl Site {
-    /// The configuration of a relay in front of nodes 1 to 4 and 33 of this site.
+/// Where a relay stands: what it listens on, and the subnet of its nodes 1 to 4 and 33.
+#[derive(Debug)]
+pub(crate) struct Place<'a> {
+    /// A list, in TOML.
+    pub(crate) listen: &'a str,
+    pub(crate) admin: SocketAddr,
+    pub(crate) start_port: u16,
+    pub(crate) subnet: Ipv4Addr,
+    /// A list, in TOML.
+    pub(crate) allow: &'a str,
+}
+
+impl Place<'_> {
+    /// The configuration of a relay that stands here.
     pub(crate) fn configuration(&self, settings: &Settings<'_>) -> String {
+        let Self { listen, admin, start_port, subnet, allow } = self;
         let Settings { net, passwords, runtime, sections, .. } = settings;
-        let (public, subnet) = (self.public_address(), self.address(0));
-        let start_port = self.start_port();
         format!(
             r#"
 [public]
-listen = ["{public}"]
+listen = {listen}
 
 [runtime]
 {runtime}
 
 [admin]
-listen = "{public}:{ADMIN_PORT}"
+listen = "{admin}"
 
 [[udp_range_net]]
 name = "section-1"
 start_port = {start_port}
 subnet = "{subnet}"
 nodes = ["1-4", 33]
-allow = ["{subnet}/24"]
+allow = {allow}
 {net}
 {passwords}
 
 {sections}
 "#
         )
+    }
+
+    /// Starts one with the usual configuration and these settings, and waits until it is ready.
+    pub(crate) fn relay(&self, settings: &Settings<'_>) -> Relay {
+        Relay::start(&self.configuration(settings), self.admin, settings.descriptors)
+    }
+}
+
+impl Site {
+    /// The configuration of a relay in front of this site's nodes, for its clients.
+    pub(crate) fn configuration(&self, settings: &Settings<'_>) -> String {
+        let (public, subnet) = (self.public_address(), self.address(0));
+        Place {
+            listen: &format!("[\"{public}\"]"),
+            admin: self.admin(),
+            start_port: self.start_port(),
+            subnet,
+            allow: &format!("[\"{subnet}/24\"]"),
+        }
+        .configuration(settings)
     }
 
     /// Where its relay's admin server is.
