@@ -13,6 +13,12 @@ use socket2::{Domain, Protocol, Socket, Type};
 
 use super::steer;
 
+/// Octets of send buffer to ask the kernel for, for each upstream socket; `sysctl
+/// net.core.wmem_max` bounds it. Requests to a node that is switched off fill up to 208 KiB of it,
+/// while the kernel asks for the node's hardware address: as much as a send buffer is by default,
+/// and then the socket serves no other node either.
+const SEND_BUFFER: usize = 4 << 20;
+
 /// Opens the public sockets of one address, one for each worker, in the workers' order. The kernel
 /// spreads clients over them; `steer` decides how.
 pub(super) fn public(
@@ -45,6 +51,7 @@ pub(super) fn public(
 /// Opens a socket towards servers, on a port that the kernel picks at random, and tells the port.
 pub(super) fn upstream(ipv4: bool, receive_buffer: usize) -> io::Result<(Socket, u16)> {
     let socket = udp(ipv4, receive_buffer)?;
+    socket.set_send_buffer_size(SEND_BUFFER)?;
     let any: IpAddr =
         if ipv4 { Ipv4Addr::UNSPECIFIED.into() } else { Ipv6Addr::UNSPECIFIED.into() };
     socket.bind(&SocketAddr::new(any, 0).into())?;

@@ -8,6 +8,7 @@ mod bad_input;
 mod check;
 mod commands;
 mod drops;
+mod faults;
 mod floods;
 mod harness;
 mod namespaces;

@@ -145,6 +145,11 @@ impl Namespace {
         Ok(Self { name })
     }
 
+    /// Its name, for commands that take one.
+    pub(crate) fn name(&self) -> &str {
+        &self.name
+    }
+
     /// Runs `there` in this namespace, on a thread of its own.
     pub(crate) fn enter<T: Send>(&self, there: impl FnOnce() -> T + Send) -> T {
         let namespace = File::open(format!("/run/netns/{}", self.name)).unwrap();
