@@ -13,6 +13,7 @@ pub mod totals;
 
 use std::iter;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use prometheus::TextEncoder;
@@ -36,21 +37,22 @@ const STRAY_NODE: &str = "0";
 #[derive(Clone, Debug)]
 pub struct Metrics {
     router: Arc<Router>,
-    /// Unix time in seconds. Fixed, so that timestamps counted from it do not wobble.
-    started_at: f64,
+    /// Unix time of the router's start, in microseconds, by the clock as it was set at the last
+    /// scrape: a router without a battery learns the time long after its start.
+    started_at: Arc<AtomicU64>,
 }
 
 impl Metrics {
     /// The metrics of `router`.
     pub fn new(router: Arc<Router>) -> Self {
-        let started_at = SystemTime::now() - router.started().elapsed();
-        let since_epoch = started_at.duration_since(UNIX_EPOCH).unwrap_or_default();
-        Self { router, started_at: since_epoch.as_secs_f64() }
+        let started_at = Arc::new(AtomicU64::new(started_at(&router)));
+        Self { router, started_at }
     }
 
     /// All metrics in Prometheus' text format, piece by piece; each piece is summed up and encoded
     /// when it is taken.
     pub fn chunks(&self) -> impl Iterator<Item = String> + Send + use<> {
+        self.look_at_the_clock();
         let (by_net, metrics) = (self.clone(), self.clone());
         let router = ROUTER_FAMILIES.iter().map(move |family| metrics.router_family(family));
         let process = iter::once_with(|| ProcessCollector::for_self().collect()).flatten();
@@ -58,6 +60,18 @@ impl Metrics {
             .iter()
             .flat_map(move |family| by_net.clone().net_family(family))
             .chain(router.chain(process).filter_map(|family| encode(&family)))
+    }
+
+    /// What little the clock is off leaves the timestamps as they are, so that they do not wobble.
+    fn look_at_the_clock(&self) {
+        let now = started_at(&self.router);
+        if now.abs_diff(self.started_at.load(Relaxed)) > 1_000_000 {
+            self.started_at.store(now, Relaxed);
+        }
+    }
+
+    fn started_at(&self) -> f64 {
+        self.started_at.load(Relaxed) as f64 / 1e6
     }
 
     /// One family, net by net, strays last.
@@ -88,7 +102,7 @@ impl Metrics {
             nodes: table.mappings_of(id).map(node).collect(),
             net: Some((net, NetTotals::of_net(workers, table, id))),
             kernel_drops: Box::new(move || self.router.kernel_drops(id)),
-            started_at: self.started_at,
+            started_at: self.started_at(),
         }
     }
 
@@ -99,14 +113,21 @@ impl Metrics {
             nodes: vec![(STRAY_NODE.to_owned(), strays)],
             net: None,
             kernel_drops: Box::new(KernelDrops::default),
-            started_at: self.started_at,
+            started_at: self.started_at(),
         }
     }
 
     fn router_family(&self, family: &RouterFamily) -> MetricFamily {
-        let sample = (family.sample)(self.started_at);
+        let sample = (family.sample)(self.started_at());
         metric_family(family.name, family.help, MetricType::GAUGE, vec![sample])
     }
+}
+
+/// Unix time of the router's start in microseconds, by the clock as it is set now.
+fn started_at(router: &Router) -> u64 {
+    let started_at = SystemTime::now() - router.started().elapsed();
+    let since_epoch = started_at.duration_since(UNIX_EPOCH).unwrap_or_default();
+    u64::try_from(since_epoch.as_micros()).unwrap_or(u64::MAX)
 }
 
 fn metric_family(name: &str, help: &str, kind: MetricType, samples: Vec<Metric>) -> MetricFamily {

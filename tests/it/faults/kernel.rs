@@ -1,7 +1,7 @@
 //! Queues and buffers of the kernel that are full.
 
 use super::Sections;
-use crate::harness::{Settings, Site, eventually, exchange, request, response};
+use crate::harness::{Settings, Site, exchange, request, response};
 
 /// The queue of section 1's interface takes next to nothing. Of what it refuses, the kernel tells
 /// nobody but its own figures: to the relay it is forwarded.

@@ -1,10 +1,8 @@
 //! Addresses that go away and come back, and lines that lose, repeat and reorder datagrams.
 
-use std::collections::BTreeSet;
-
 use super::Sections;
 use crate::harness::{
-    FIGURE_10, Network, PASSWORD, Peer, Relay, Settings, datagram, exchange, request, response,
+    FIGURE_10, Network, PASSWORD, Peer, Settings, datagram, exchange, request, response,
 };
 
 /// The router gets another address in the plant, as by DHCP: flows go on from there.
@@ -68,4 +66,137 @@ fn a_public_address_that_goes_away_and_comes_back() {
             relay.finish();
         }
     });
+}
+
+/// What the lines do to every so many-th datagram: rules of the kernel's packet filter, which count
+/// where a random choice would only make it likely. Class 1:2 of each line is a slow lane.
+#[derive(Clone, Copy)]
+struct Lines<'a> {
+    internet: &'a str,
+    edge: &'a str,
+    plant: &'a str,
+}
+
+/// The numbers of the requests that came to the node and of the responses that came to the client,
+/// in the order they did.
+struct Passed {
+    to_node: Vec<u16>,
+    to_client: Vec<u16>,
+}
+
+/// Sends numbered requests and has the node answer each that comes. So many have to come to the
+/// relay, to the node, to the relay again, and to the client.
+fn pass(lines: Lines<'_>, requests: u16, expected: [usize; 4]) -> Option<Passed> {
+    let [to_relay, to_node, from_node, to_client] = expected;
+    let network = Network::build()?;
+    let mut passed = Passed { to_node: Vec::new(), to_client: Vec::new() };
+    network.at_the_edge(|| {
+        let relay = network.place(r#"["0.0.0.0"]"#).relay(&Settings::default());
+        let (client, node) = (network.client("198.51.100.7"), network.node(4));
+        let public = network.public("198.51.100.1", 4);
+        let from_relay = exchange(&client, public, &node, 4);
+        network.internet.nft(lines.internet);
+        network.edge.nft(lines.edge);
+        network.plant.nft(lines.plant);
+        let ends = [(&network.internet, "eth0"), (&network.plant, "eth0")];
+        for (namespace, device) in
+            ends.into_iter().chain(["eth0", "eth1"].map(|d| (&network.edge, d)))
+        {
+            namespace.tc(&format!(
+                "qdisc add dev {device} root handle 1: htb default 1
+                 class add dev {device} parent 1: classid 1:1 htb rate 1gbit quantum 1500
+                 class add dev {device} parent 1: classid 1:2 htb rate 100kbit quantum 1500 burst 100 cburst 100"
+            ));
+        }
+
+        let numbered = |n: u16| datagram(&FIGURE_10, &n.to_be_bytes(), PASSWORD);
+        let number = |octets: &[u8]| u16::from_be_bytes(*octets[14..].first_chunk().unwrap());
+        let take = |peer: &Peer, list: &mut Vec<u16>| {
+            let (octets, from) = peer.receive();
+            let n = number(&octets);
+            assert_eq!(octets, numbered(n), "octet for octet");
+            list.push(n);
+            from
+        };
+        for n in 0..requests {
+            client.send(public, &numbered(n));
+        }
+        for _ in 0..to_node {
+            let relay = take(&node, &mut passed.to_node);
+            assert_eq!(relay.port(), from_relay);
+            node.send(relay, &numbered(*passed.to_node.last().unwrap()));
+        }
+        for _ in 0..to_client {
+            assert_eq!(take(&client, &mut passed.to_client), public);
+        }
+        relay.expect_drops(&[]);
+        let metrics = relay.metrics();
+        for (direction, datagrams) in [("request", to_relay), ("response", from_node)] {
+            let labels = [("node", "4"), ("direction", direction)];
+            let received = metrics.sum("pnet_nat_received_datagrams_total", &labels);
+            assert_eq!(received as usize, datagrams + 1, "{direction}s, and the first exchange");
+        }
+        assert_eq!((node.waiting(), client.waiting()), (None, None));
+        relay.finish();
+    });
+    Some(passed)
+}
+
+/// Of 100 requests every fifth is lost before the edge, then every fourth in the plant, and the same
+/// of the responses. The relay passes on what comes, and makes up for nothing.
+#[test]
+fn lines_that_lose() {
+    let lines = Lines {
+        internet: "table inet line { chain in { type filter hook prerouting priority raw;
+            udp sport 40004 numgen inc mod 4 0 drop; }; }",
+        edge: "table inet line { chain in { type filter hook prerouting priority raw;
+            udp dport 40004 numgen inc mod 5 0 drop;
+            udp sport 34379 numgen inc mod 5 0 drop; }; }",
+        plant: "table inet line { chain in { type filter hook prerouting priority raw;
+            udp dport 34379 numgen inc mod 4 0 drop; }; }",
+    };
+    let Some(passed) = pass(lines, 100, [80, 60, 48, 36]) else { return };
+    assert!(passed.to_node.is_sorted() && passed.to_client.is_sorted());
+}
+
+/// Each line carries every datagram twice: the relay passes on each copy once.
+#[test]
+fn lines_that_repeat() {
+    let twice = |what: &str, to: &str| {
+        format!(
+            "table ip line {{ chain twice {{ type filter hook postrouting priority 0;
+                {what} dup to {to}; }}; }}\n"
+        )
+    };
+    let edge = twice("udp dport 34379", "172.17.17.4") + &twice("udp sport 40004", "198.51.100.7");
+    let lines = Lines {
+        internet: &twice("udp dport 40004", "198.51.100.1"),
+        edge: &edge,
+        plant: &twice("udp sport 34379", "172.17.17.254"),
+    };
+    let Some(passed) = pass(lines, 15, [30, 60, 120, 240]) else { return };
+    for (list, copies) in [(&passed.to_node, 4), (&passed.to_client, 16)] {
+        let count = |n| list.iter().filter(|&&came| came == n).count();
+        assert!((0..15).all(|n| count(n) == copies), "{list:?}");
+    }
+}
+
+/// On each line every third datagram takes a slow lane, and the others overtake it.
+#[test]
+fn lines_that_reorder() {
+    let slow = |what: &str| {
+        format!(
+            "table inet line {{ chain slow {{ type filter hook postrouting priority 0;
+                {what} numgen inc mod 3 0 meta priority set \"1:2\"; }}; }}"
+        )
+    };
+    let edge = slow("udp dport 34379") + "\n" + &slow("udp sport 40004");
+    let lines =
+        Lines { internet: &slow("udp dport 40004"), edge: &edge, plant: &slow("udp sport 34379") };
+    let Some(mut passed) = pass(lines, 100, [100; 4]) else { return };
+    for list in [&mut passed.to_node, &mut passed.to_client] {
+        assert!(!list.is_sorted(), "nothing was overtaken: {list:?}");
+        list.sort_unstable();
+        assert!(list.iter().copied().eq(0..100));
+    }
 }

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::fs::{self, Permissions};
 use std::net::{Ipv4Addr, SocketAddr};
 use std::os::unix::fs::PermissionsExt;
+use std::process::Command;
 
 use nix::sys::signal::Signal;
 use tempfile::TempDir;
@@ -146,13 +147,22 @@ pub(crate) struct Relay {
 
 impl Relay {
     pub(crate) fn start(configuration: &str, admin: SocketAddr, descriptors: Option<u64>) -> Self {
+        let start = |arguments: &[&str]| match descriptors {
+            Some(limit) => pnet_nat_within(limit, arguments),
+            None => pnet_nat(arguments),
+        };
+        Self::start_as(configuration, admin, start)
+    }
+
+    /// Starts it by a command that has these arguments, and maybe more.
+    pub(crate) fn start_as(
+        configuration: &str,
+        admin: SocketAddr,
+        command: impl FnOnce(&[&str]) -> Command,
+    ) -> Self {
         let folder = folder(configuration);
         let config = folder.path().join("pnet-nat.toml");
-        let arguments = ["run", "--config", config.to_str().unwrap()];
-        let command = match descriptors {
-            Some(limit) => pnet_nat_within(limit, &arguments),
-            None => pnet_nat(&arguments),
-        };
+        let command = command(&["run", "--config", config.to_str().unwrap()]);
         let mut relay = Self { process: Process::start(command), admin, _folder: folder };
         eventually("the relay is ready", || {
             assert!(!relay.process.has_ended(), "{}", relay.process.stderr());
