@@ -14,6 +14,8 @@ mod reload;
 mod rules;
 mod shell;
 #[cfg(test)]
+mod silence;
+#[cfg(test)]
 mod simulation;
 mod sketch;
 mod table;

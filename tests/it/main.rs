@@ -12,6 +12,7 @@ mod faults;
 mod floods;
 mod harness;
 mod namespaces;
+mod nat;
 mod relaying;
 mod scale;
 mod stopping;

@@ -3,7 +3,7 @@
 
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::time::{SystemTime, UNIX_EPOCH};
 
 use serde_json::Value;
 
@@ -52,15 +52,9 @@ fn a_clock_that_jumps() {
     for (jumps, offset) in [0, 3600, 2 * YEAR, -10 * YEAR].into_iter().enumerate() {
         set(clock.path(), offset);
         // A flow opens, is idle for its second, and closes: the relay has looked through all flows.
-        let octets = datagram(
-            &{
-                let mut route = FIGURE_10;
-                route[1] = 7;
-                route
-            },
-            &[],
-            SECOND,
-        );
+        let mut route = FIGURE_10;
+        route[1] = 7;
+        let octets = datagram(&route, &[], SECOND);
         site.client().send((site.public_address(), 20200).into(), &octets);
         let closed = eventually("the idle flow closes", || {
             let closed = relay.process.logged("flow closed");

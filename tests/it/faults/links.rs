@@ -2,7 +2,7 @@
 
 use super::Sections;
 use crate::harness::{
-    FIGURE_10, Network, PASSWORD, Peer, Settings, datagram, exchange, request, response,
+    FIGURE_10, Network, PASSWORD, Peer, Settings, datagram, exchange, has_nft, request, response,
 };
 
 /// The router gets another address in the plant, as by DHCP: flows go on from there.
@@ -88,7 +88,7 @@ struct Passed {
 /// relay, to the node, to the relay again, and to the client.
 fn pass(lines: Lines<'_>, requests: u16, expected: [usize; 4]) -> Option<Passed> {
     let [to_relay, to_node, from_node, to_client] = expected;
-    let network = Network::build()?;
+    let network = Network::build().filter(|_| has_nft())?;
     let mut passed = Passed { to_node: Vec::new(), to_client: Vec::new() };
     network.at_the_edge(|| {
         let relay = network.place(r#"["0.0.0.0"]"#).relay(&Settings::default());
@@ -105,7 +105,8 @@ fn pass(lines: Lines<'_>, requests: u16, expected: [usize; 4]) -> Option<Passed>
             namespace.tc(&format!(
                 "qdisc add dev {device} root handle 1: htb default 1
                  class add dev {device} parent 1: classid 1:1 htb rate 1gbit quantum 1500
-                 class add dev {device} parent 1: classid 1:2 htb rate 100kbit quantum 1500 burst 100 cburst 100"
+                 class add dev {device} parent 1: classid 1:2 htb rate 100kbit quantum 1500 \
+                 burst 100 cburst 100"
             ));
         }
 

@@ -7,8 +7,9 @@ mod links;
 mod process;
 mod servers;
 
-use crate::harness::{Network, Peer, Relay, Settings, exchange, request, response};
 use std::net::{Ipv4Addr, SocketAddr};
+
+use crate::harness::{Network, Peer, Relay, Settings, exchange, request, response};
 
 /// A second plant section, on a cable of its own.
 const SECTION_2: &str = r#"

@@ -73,7 +73,8 @@ fn scrapers_that_do_not_read() {
 fn large_sections() -> String {
     let section = |index: u16| {
         format!(
-            "[[udp_range_net]]\nname = \"large-{index}\"\nstart_port = {}\nsubnet = \"127.1.{index}.0\"\n\
+            "[[udp_range_net]]\nname = \"large-{index}\"\nstart_port = {}\n\
+             subnet = \"127.1.{index}.0\"\n\
              nodes = [\"1-125\"]\nallow = [\"127.0.0.0/8\"]\n\
              [[udp_range_net.password]]\nname = \"service\"\nfile = \"secrets/press\"\n",
             21000 + 200 * index

@@ -52,6 +52,15 @@ pub(crate) fn left_out(want: &str) {
     println!("left out: {want}");
 }
 
+/// Whether the kernel's packet filter can be told what to do; says so where it cannot.
+pub(crate) fn has_nft() -> bool {
+    let has = std::process::Command::new("nft").arg("--version").output().is_ok();
+    if !has {
+        left_out("nft, of the package nftables");
+    }
+    has
+}
+
 /// Whether what takes minutes is to run as well; says so where it is not.
 pub(crate) fn nightly() -> bool {
     let nightly = tests_wanted() == "nightly";

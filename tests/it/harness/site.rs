@@ -8,6 +8,7 @@ use std::io;
 use std::net::{Ipv4Addr, SocketAddr, UdpSocket};
 use std::process;
 use std::sync::atomic::{AtomicU8, AtomicU32, Ordering::Relaxed};
+use std::time::Duration;
 
 use socket2::Socket;
 
@@ -111,6 +112,18 @@ impl Peer {
         match self.0.recv_from(&mut octets) {
             Ok((length, from)) => (octets[..length].to_vec(), from),
             Err(error) => panic!("nothing came to {}: {error}", self.address()),
+        }
+    }
+
+    /// The next datagram and its sender, if one comes in time.
+    pub(crate) fn receive_within(&self, time: Duration) -> Option<(Vec<u8>, SocketAddr)> {
+        self.0.set_read_timeout(Some(time)).unwrap();
+        let mut octets = [0; 2048];
+        let came = self.0.recv_from(&mut octets);
+        self.0.set_read_timeout(Some(PATIENCE)).unwrap();
+        match came {
+            Err(error) if error.kind() == io::ErrorKind::WouldBlock => None,
+            came => came.map(|(length, from)| (octets[..length].to_vec(), from)).ok(),
         }
     }
 
