@@ -116,6 +116,8 @@ impl Network {
         for (namespace, commands) in all {
             namespace.ip(commands);
         }
+        // As on real lines, no datagrams that travel as one: they are lost and counted one by one.
+        self.edge.ip("link set eth0 gso_max_segs 1\nlink set eth1 gso_max_segs 1");
         self.edge.enter(|| {
             for switch in ["ipv4/ip_forward", "ipv6/conf/all/forwarding"] {
                 let path = format!("/proc/sys/net/{switch}");
