@@ -16,4 +16,5 @@ mod nat;
 mod relaying;
 mod scale;
 mod stopping;
+mod tunnel;
 mod watching;

@@ -16,7 +16,7 @@ use std::time::{Duration, Instant};
 
 pub(crate) use capture::{Capture, Packet};
 pub(crate) use metrics::Metrics;
-pub(crate) use network::Network;
+pub(crate) use network::{Namespace, Network};
 pub(crate) use octets::{
     DEVICE, FIGURE_10, PASSWORD, PASSWORDS, SECOND, WRONG, datagram, request, response,
 };
