@@ -13,4 +13,5 @@ pub mod metrics;
 pub mod net;
 pub mod peer;
 pub mod relay;
+pub mod sandbox;
 pub mod wire;

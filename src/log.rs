@@ -4,12 +4,12 @@
 //! once a window how much it was; a stderr that nobody reads loses lines and holds up nothing.
 
 use std::io::{self, IsTerminal};
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 use std::time::{Duration, Instant};
 
 use tokio::time::{self, MissedTickBehavior};
 use tracing::{Level, warn};
-use tracing_appender::non_blocking::{NonBlockingBuilder, WorkerGuard};
+use tracing_appender::non_blocking::{NonBlocking, NonBlockingBuilder, WorkerGuard};
 
 use crate::metrics::totals::NodeTotals;
 use crate::net::Router;
@@ -35,13 +35,13 @@ pub enum LogFormat {
 #[must_use = "the log ends when the guard is dropped"]
 pub struct Guard(#[expect(dead_code, reason = "held for its drop")] WorkerGuard);
 
-/// Starts logging to stderr, for the whole process and once only. Times are UTC, as RFC 3339.
-pub fn init(format: LogFormat, level: Level) -> Guard {
+/// Where lines go to be written by a thread of the log's own, once there is one.
+static BACKGROUND: OnceLock<NonBlocking> = OnceLock::new();
+
+/// Starts logging to stderr, for the whole process and once only. Times are UTC, as RFC 3339. Who
+/// logs writes, until [`in_background`].
+pub fn init(format: LogFormat, level: Level) {
     let terminal = io::stderr().is_terminal();
-    let (writer, guard) = NonBlockingBuilder::default()
-        .lossy(true)
-        .buffered_lines_limit(WAITING_LINES)
-        .finish(io::stderr());
     let events = tracing_subscriber::fmt().with_max_level(level).with_writer(writer);
     let json = match format {
         LogFormat::Auto => !terminal,
@@ -53,7 +53,25 @@ pub fn init(format: LogFormat, level: Level) -> Guard {
     } else {
         events.with_target(false).with_ansi(terminal && !no_color()).init();
     }
+}
+
+/// Has lines written by a thread of its own from now on, so that a stderr that nobody reads holds
+/// up nobody. The thread may do what the calling one may.
+pub fn in_background() -> Guard {
+    let (writer, guard) = NonBlockingBuilder::default()
+        .lossy(true)
+        .buffered_lines_limit(WAITING_LINES)
+        .finish(io::stderr());
+    // The first one stays.
+    let _ = BACKGROUND.set(writer);
     Guard(guard)
+}
+
+fn writer() -> Box<dyn io::Write> {
+    match BACKGROUND.get() {
+        Some(background) => Box::new(background.clone()),
+        None => Box::new(io::stderr()),
+    }
 }
 
 /// Whether the user wants no colours (no-color.org).

@@ -11,6 +11,7 @@ use pnet_nat::config::{self, Config, Warning};
 use pnet_nat::metrics::Metrics;
 use pnet_nat::net::Router;
 use pnet_nat::relay::DropReason;
+use pnet_nat::sandbox::Sandbox;
 
 const README: &str = include_str!("../README.md");
 
@@ -25,7 +26,7 @@ fn the_drop_reasons_are_those_of_the_code() {
 
 #[test]
 fn every_metric_is_described_and_no_other() {
-    let scrape: String = Metrics::new(Arc::new(router())).chunks().collect();
+    let scrape: String = Metrics::new(Arc::new(router()), Sandbox::off()).chunks().collect();
     let exposed = scrape.lines().filter_map(|line| line.strip_prefix("# TYPE "));
     let exposed = exposed.filter_map(|line| line.split(' ').next());
     let exposed: BTreeSet<_> = exposed.filter(|name| name.starts_with("pnet_nat_")).collect();

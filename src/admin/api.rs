@@ -23,9 +23,15 @@ use crate::net::Router;
 use crate::relay::{
     CloseReason, Credential, Direction, FlowRecord, Mapping, MappingId, Net, NetId, NetKind, Table,
 };
+use crate::sandbox::{self, Layer};
 
 const DEFAULT_FLOWS: usize = 1000;
 const MOST_FLOWS: usize = 100_000;
+
+/// `GET /api/v1/status`
+pub(super) async fn status(State(shared): State<Shared>) -> Response {
+    Json(Status::of(&shared)).into_response()
+}
 
 /// `GET /api/v1/nets`
 pub(super) async fn nets(State(shared): State<Shared>) -> Response {
@@ -81,6 +87,39 @@ fn json_list(
         .chain(items)
         .chain(iter::once(Ok("\n]}\n".to_owned())));
     ([(CONTENT_TYPE, "application/json")], Body::from_stream(stream::iter(chunks))).into_response()
+}
+
+/// The process.
+#[derive(Serialize)]
+struct Status<'a> {
+    version: &'static str,
+    ready: bool,
+    uptime_seconds: f64,
+    sandbox: Vec<LayerState<'a>>,
+}
+
+#[derive(Serialize)]
+struct LayerState<'a> {
+    layer: &'static str,
+    state: &'static str,
+    /// Null when there is nothing to explain.
+    why: Option<&'a str>,
+}
+
+impl<'a> Status<'a> {
+    fn of(shared: &'a Shared) -> Self {
+        let state = |(layer, state): (Layer, &'a sandbox::State)| LayerState {
+            layer: layer.label(),
+            state: state.label(),
+            why: state.why(),
+        };
+        Self {
+            version: env!("CARGO_PKG_VERSION"),
+            ready: shared.router.is_ready(),
+            uptime_seconds: shared.router.started().elapsed().as_secs_f64(),
+            sandbox: shared.sandbox.layers().map(state).collect(),
+        }
+    }
 }
 
 /// What the configuration says of a net, without its nodes.
@@ -286,6 +325,9 @@ struct ConfigInForce<'a> {
     drain_seconds: f64,
     /// Null when switched off.
     admin_listen: Option<SocketAddr>,
+    /// Whether the admin server asks for a token.
+    admin_has_token: bool,
+    metrics_without_token: bool,
 }
 
 #[derive(Serialize)]
@@ -297,7 +339,7 @@ struct NetConfig<'a> {
 
 impl<'a> ConfigInForce<'a> {
     fn of(config: &'a Config) -> Self {
-        let Config { listen, table, limits, runtime, admin } = config;
+        let Config { listen, table, limits, runtime, admin, files: _ } = config;
         let nets = table.net_ids().map(|id| NetConfig {
             rules: NetRules::of(table.net(id)),
             nodes: table.mappings_of(id).map(|m| Element::of(table.mapping(m))).collect(),
@@ -313,6 +355,8 @@ impl<'a> ConfigInForce<'a> {
             receive_buffer_bytes: runtime.receive_buffer,
             drain_seconds: runtime.drain.as_secs_f64(),
             admin_listen: admin.as_ref().map(|admin| admin.listen),
+            admin_has_token: admin.as_ref().is_some_and(|admin| admin.token.is_some()),
+            metrics_without_token: admin.as_ref().is_some_and(|a| a.metrics_without_token),
         }
     }
 }

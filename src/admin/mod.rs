@@ -3,7 +3,9 @@
 //! It changes nothing. One request a connection, a bound on connections, time and buffers, and
 //! answers made piece by piece as they are read: whatever its clients do, the data path goes on.
 
+mod access;
 mod api;
+mod connections;
 #[cfg(test)]
 mod tests;
 
@@ -17,6 +19,7 @@ use axum::body::Body;
 use axum::extract::State;
 use axum::http::StatusCode;
 use axum::http::header::CONTENT_TYPE;
+use axum::middleware;
 use axum::response::{Html, IntoResponse, Response};
 use axum::routing::get;
 use futures_util::stream;
@@ -24,15 +27,17 @@ use hyper::server::conn::http1;
 use hyper_util::rt::{TokioIo, TokioTimer};
 use hyper_util::service::TowerToHyperService;
 use tokio::net::{TcpListener, TcpStream};
-use tokio::sync::{Mutex, Semaphore};
+use tokio::sync::Mutex;
+use tokio::task::yield_now;
 use tokio::time::{sleep, timeout};
 use tracing::warn;
 
 use crate::metrics::{self, Metrics};
 use crate::net::Router;
+use crate::sandbox::Sandbox;
 
-/// Connections served at once; more wait in the listener's queue.
-const CONNECTIONS: u32 = 64;
+use connections::Connections;
+
 /// From accepting a connection to having its request.
 const HEADER_TIME: Duration = Duration::from_secs(2);
 /// From accepting a connection to the last octet of the answer.
@@ -45,30 +50,36 @@ const GRACE: Duration = Duration::from_secs(1);
 const ACCEPT_PAUSE: Duration = Duration::from_secs(1);
 
 /// What there is, and what it is for.
-const ROUTES: [(&str, &str); 6] = [
+const ROUTES: [(&str, &str); 7] = [
     ("/metrics", "for Prometheus"),
     ("/-/healthy", "200 as long as the process runs"),
     ("/-/ready", "200 while it relays, 503 before and after"),
+    ("/api/v1/status", "version, readiness and confinement"),
     ("/api/v1/nets", "nets and nodes with their counters"),
     ("/api/v1/flows?limit=1000", "open flows"),
     ("/api/v1/config", "the configuration in force, without passwords"),
 ];
 
 /// Answers requests until `shutdown` is done; then lets the open ones end, for a second at most.
-pub async fn serve(listener: TcpListener, router: Arc<Router>, shutdown: impl Future<Output = ()>) {
-    let routes = routes(router);
-    let slots = Arc::new(Semaphore::new(CONNECTIONS as usize));
+pub async fn serve(
+    listener: TcpListener,
+    router: Arc<Router>,
+    sandbox: Sandbox,
+    shutdown: impl Future<Output = ()>,
+) {
+    let routes = routes(router, sandbox);
+    let mut connections = Connections::default();
     let accepting = async {
         loop {
-            let slot = slots.clone().acquire_owned().await;
             match listener.accept().await {
-                Ok((stream, _)) => {
+                Ok((stream, from)) => {
                     let routes = routes.clone();
-                    tokio::spawn(async move {
+                    connections.add(from.ip(), async move {
                         // A client that is too slow or gone is its own affair.
                         let _ = timeout(REQUEST_TIME, answer(stream, routes)).await;
-                        drop(slot);
                     });
+                    // Connections that were cut are closed before others are accepted.
+                    yield_now().await;
                 }
                 Err(error) => pause_after(&error).await,
             }
@@ -78,28 +89,32 @@ pub async fn serve(listener: TcpListener, router: Arc<Router>, shutdown: impl Fu
         () = accepting => {}
         () = shutdown => {}
     }
-    let _ = timeout(GRACE, slots.acquire_many(CONNECTIONS)).await;
+    connections.close(GRACE).await;
 }
 
 /// The admin server's routes.
-pub fn routes(router: Arc<Router>) -> axum::Router {
-    let metrics = Metrics::new(router.clone());
+pub fn routes(router: Arc<Router>, sandbox: Sandbox) -> axum::Router {
+    let metrics = Metrics::new(router.clone(), sandbox.clone());
+    let shared = Shared { router, sandbox, metrics, flows_turn: Arc::default() };
     axum::Router::new()
         .route("/", get(index))
         .route("/metrics", get(scrape))
         .route("/-/healthy", get("healthy\n"))
         .route("/-/ready", get(ready))
+        .route("/api/v1/status", get(api::status))
         .route("/api/v1/nets", get(api::nets))
         .route("/api/v1/flows", get(api::flows))
         .route("/api/v1/config", get(api::config))
         .fallback(not_found)
-        .with_state(Shared { router, metrics, flows_turn: Arc::default() })
+        .layer(middleware::from_fn_with_state(shared.clone(), access::control))
+        .with_state(shared)
 }
 
 /// What the handlers work from.
 #[derive(Clone)]
 struct Shared {
     router: Arc<Router>,
+    sandbox: Sandbox,
     metrics: Metrics,
     /// Held by the one request for flows that is being answered: a list of flows is large, and
     /// asking for it wakes the workers.

@@ -8,7 +8,10 @@ use std::time::Instant;
 use serde_json::{Value, json};
 use tokio::sync::oneshot;
 
+use axum::http::HeaderMap;
+
 use super::*;
+use crate::config::{Admin, Token};
 use crate::metrics::fixture::{self, NODE_1, PASSWORDS, SECTION, config};
 use crate::relay::{Direction, DropReason};
 
@@ -29,7 +32,7 @@ impl Server {
         let thread = thread::spawn(move || {
             runtime.block_on(async {
                 let listener = TcpListener::from_std(listener).unwrap();
-                serve(listener, router, async { _ = stopped.await }).await;
+                serve(listener, router, Sandbox::off(), async { _ = stopped.await }).await;
             });
         });
         Self { address, stop: Some(stop), thread: Some(thread) }
@@ -40,11 +43,18 @@ impl Server {
     }
 
     fn ask(&self, method: &str, path: &str) -> Answer {
+        self.ask_with(method, path, &[])
+    }
+
+    fn ask_with(&self, method: &str, path: &str, headers: &[(&str, &str)]) -> Answer {
         let agent: ureq::Agent =
             ureq::Agent::config_builder().http_status_as_error(false).proxy(None).build().into();
         let url = format!("http://{}{path}", self.address);
-        let request = ureq::http::Request::builder().method(method).uri(url).body(()).unwrap();
-        let mut answer = agent.run(request).unwrap();
+        let mut request = ureq::http::Request::builder().method(method).uri(url);
+        for (name, value) in headers {
+            request = request.header(*name, *value);
+        }
+        let mut answer = agent.run(request.body(()).unwrap()).unwrap();
         Answer {
             status: answer.status().as_u16(),
             content_type: answer
@@ -52,6 +62,7 @@ impl Server {
                 .get("content-type")
                 .map(|value| value.to_str().unwrap().to_owned())
                 .unwrap_or_default(),
+            headers: answer.headers().clone(),
             text: answer.body_mut().read_to_string().unwrap(),
         }
     }
@@ -71,6 +82,7 @@ impl Drop for Server {
 struct Answer {
     status: u16,
     content_type: String,
+    headers: HeaderMap,
     text: String,
 }
 
@@ -214,6 +226,8 @@ fn flows_and_configuration_have_their_shape() {
     assert_eq!(config["wrong_password_interval_seconds"], 60.0);
     assert_eq!(config["workers"], Value::Null);
     assert_eq!(config["admin_listen"], "127.0.0.1:9378");
+    assert_eq!(config["admin_has_token"], false);
+    assert_eq!(config["metrics_without_token"], false);
 }
 
 #[test]
@@ -280,14 +294,106 @@ fn a_request_without_end_is_refused() {
     assert!(refused.contains(&&answer[..answer.len().min(13)]), "{answer}");
 }
 
+/// Not even a client who says a little again and again.
 #[test]
-fn silent_connections_beyond_the_bound_wait_and_then_all_is_well() {
+fn a_client_that_drips_is_cut_off() {
     let server = Server::start(Router::idle(config(), 1));
-    let silent: Vec<_> = (0..CONNECTIONS).map(|_| server.connect()).collect();
     let began = Instant::now();
+    let mut slow = server.connect();
+    slow.set_read_timeout(Some(Duration::from_millis(100))).unwrap();
+    slow.write_all(b"GET /-/healthy HTTP/1.1\r\n").unwrap();
+    let is_cut = |slow: &mut TcpStream| match slow.read(&mut [0; 1024]) {
+        Ok(octets) => octets == 0,
+        Err(error) => error.kind() != io::ErrorKind::WouldBlock,
+    };
+    while !is_cut(&mut slow) {
+        assert!(began.elapsed() < REQUEST_TIME, "it is not cut off");
+        let _ = slow.write_all(b"a: b\r\n");
+    }
+    assert!(began.elapsed() >= HEADER_TIME);
+}
+
+#[test]
+fn headers_without_end_are_refused() {
+    let server = Server::start(Router::idle(config(), 1));
+    let began = Instant::now();
+    let mut endless = server.connect();
+    endless.write_all(b"GET /-/healthy HTTP/1.1\r\n").unwrap();
+    while endless.write_all(b"a: 0123456789012345678901234567890123456789\r\n").is_ok() {}
+    assert!(began.elapsed() < HEADER_TIME, "it was refused for its length, not for its time");
+}
+
+#[test]
+fn a_body_without_end_is_not_read() {
+    let server = Server::start(Router::idle(config(), 1));
+    let began = Instant::now();
+    let mut endless = server.connect();
+    endless
+        .write_all(
+            b"POST /metrics HTTP/1.1\r\nhost: localhost\r\ntransfer-encoding: chunked\r\n\r\n",
+        )
+        .unwrap();
+    while endless.write_all(&[b"400\r\n".as_slice(), &[b'a'; 1024], b"\r\n"].concat()).is_ok() {}
+    assert!(began.elapsed() < HEADER_TIME);
+}
+
+#[test]
+fn silent_connections_beyond_the_bound_are_cut_and_newcomers_answered() {
+    let server = Server::start(Router::idle(config(), 1));
+    let began = Instant::now();
+    let mut silent: Vec<_> = (0..3 * connections::MOST).map(|_| server.connect()).collect();
     assert_eq!(server.get("/-/healthy").status, 200);
-    assert!(began.elapsed() >= HEADER_TIME / 2, "there was no bound");
-    drop(silent);
+    assert!(began.elapsed() < HEADER_TIME, "it waited for those that are silent");
+    for cut in &mut silent[..2 * connections::MOST] {
+        let _ = cut.read(&mut [0]); // an end or an error, but no waiting for the header time
+    }
+    assert!(began.elapsed() < HEADER_TIME, "there was no bound");
+}
+
+#[test]
+fn every_answer_tells_browsers_to_keep_to_this_site() {
+    let server = Server::start(Router::idle(config(), 1));
+    for path in ["/", "/metrics", "/api/v1/nets", "/-/ready", "/none"] {
+        let headers = server.get(path).headers;
+        let policy = headers["content-security-policy"].to_str().unwrap();
+        for directive in ["default-src 'self'", "frame-ancestors 'none'"] {
+            assert!(policy.split("; ").any(|found| found == directive), "{path}: {policy}");
+        }
+        assert_eq!(headers["x-content-type-options"], "nosniff", "{path}");
+        assert_eq!(headers["referrer-policy"], "no-referrer", "{path}");
+    }
+}
+
+#[test]
+fn a_token_is_asked_for_when_there_is_one() {
+    let mut config = config();
+    let token = Some(Token::new(b"0123456789abcdef").unwrap());
+    config.admin = Some(Admin { token, ..config.admin.unwrap() });
+    let server = Server::start(Router::idle(config, 1));
+    for (path, _) in ROUTES.into_iter().chain([("/", ""), ("/none", "")]) {
+        let refused = server.get(path);
+        if path.starts_with("/-/") {
+            assert_ne!(refused.status, 401, "{path}");
+            continue;
+        }
+        assert_eq!(refused.status, 401, "{path}");
+        assert_eq!(refused.headers["www-authenticate"], "Bearer realm=\"pnet-nat\"");
+        assert!(!refused.text.contains("0123456789abcdef"));
+        let bearer = ("authorization", "Bearer 0123456789abcdef");
+        assert_ne!(server.ask_with("GET", path, &[bearer]).status, 401, "{path}");
+    }
+}
+
+#[test]
+fn status_tells_how_the_process_is_confined() {
+    let server = Server::start(Router::idle(config(), 1));
+    let status = server.get("/api/v1/status").json();
+    assert_eq!(status["version"], env!("CARGO_PKG_VERSION"));
+    assert_eq!(status["ready"], false);
+    assert!(status["uptime_seconds"].as_f64().unwrap() >= 0.0);
+    let layers = ["memory", "no_new_privs", "capabilities", "landlock", "seccomp"];
+    let off = layers.map(|layer| json!({ "layer": layer, "state": "off", "why": null }));
+    assert_eq!(status["sandbox"], json!(off));
 }
 
 #[test]

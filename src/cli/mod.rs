@@ -77,7 +77,7 @@ pub fn main() -> ExitCode {
         Command::Run(_) => Level::INFO,
         _ => Level::WARN,
     };
-    let _log = log::init(cli.log_format, cli.log_level.unwrap_or(usual));
+    log::init(cli.log_format, cli.log_level.unwrap_or(usual));
     let done = match cli.command {
         Command::Run(args) => run::run(&args),
         Command::Check(args) => check::run(args),

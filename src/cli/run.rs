@@ -14,8 +14,9 @@ use super::signals::Signals;
 use super::{BAD_USE, complain, load};
 use crate::admin;
 use crate::config::Config;
-use crate::log::Noise;
-use crate::net::Router;
+use crate::log::{self, Noise};
+use crate::net::{Bound, Router};
+use crate::sandbox::{self, Sandbox};
 
 /// Relay between clients on the Internet and the server nodes of a plant.
 ///
@@ -27,10 +28,14 @@ pub(super) struct Args {
     /// The configuration; config/pnet-nat.toml explains every key.
     #[arg(long, value_name = "FILE", env = "PNET_NAT_CONFIG")]
     config: PathBuf,
+    /// Keep every privilege: for debuggers, and to find out whether the confinement is at fault.
+    #[arg(long, env = "PNET_NAT_NO_SANDBOX")]
+    no_sandbox: bool,
 }
 
 /// Runs the command.
 pub(super) fn run(args: &Args) -> anyhow::Result<ExitCode> {
+    let prepared = (!args.no_sandbox).then(sandbox::prepare);
     let (config, warnings) = match load(&args.config) {
         Ok(sound) => sound,
         Err(code) => return Ok(code),
@@ -38,19 +43,25 @@ pub(super) fn run(args: &Args) -> anyhow::Result<ExitCode> {
     for warning in warnings {
         tracing::warn!("{warning}");
     }
-    match start(config) {
-        Ok((router, admin)) => relay(Arc::new(router), admin),
+    let files = config.files.clone();
+    let (router, admin) = match bind(config) {
+        Ok(bound) => bound,
         Err(error) => {
             complain(format_args!("pnet-nat: {error:#}"));
-            Ok(ExitCode::from(BAD_USE))
+            return Ok(ExitCode::from(BAD_USE));
         }
-    }
+    };
+    // Every thread inherits the confinement, for up to here there is only this one.
+    let sandbox = prepared.map_or_else(Sandbox::off, |prepared| prepared.confine(&files));
+    sandbox.announce();
+    let _log = log::in_background();
+    relay(Arc::new(router.start()?), sandbox, admin)
 }
 
 /// Binds everything, or nothing.
-fn start(config: Config) -> anyhow::Result<(Router, Option<StdListener>)> {
+fn bind(config: Config) -> anyhow::Result<(Bound, Option<StdListener>)> {
     let admin = config.admin.as_ref().map(|admin| bind_admin(admin.listen)).transpose()?;
-    Ok((Router::start(config)?, admin))
+    Ok((Router::bind(config)?, admin))
 }
 
 fn bind_admin(address: SocketAddr) -> anyhow::Result<StdListener> {
@@ -61,7 +72,11 @@ fn bind_admin(address: SocketAddr) -> anyhow::Result<StdListener> {
     Ok(listener)
 }
 
-fn relay(router: Arc<Router>, admin: Option<StdListener>) -> anyhow::Result<ExitCode> {
+fn relay(
+    router: Arc<Router>,
+    sandbox: Sandbox,
+    admin: Option<StdListener>,
+) -> anyhow::Result<ExitCode> {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     let outcome = runtime.block_on(async {
         let mut signals = Signals::new()?;
@@ -72,7 +87,7 @@ fn relay(router: Arc<Router>, admin: Option<StdListener>) -> anyhow::Result<Exit
                 let listener = TcpListener::from_std(listener)?;
                 let (router, stopped) = (Arc::clone(&router), Arc::clone(&stopped));
                 Some(tokio::spawn(async move {
-                    admin::serve(listener, router, stopped.notified()).await;
+                    admin::serve(listener, router, sandbox, stopped.notified()).await;
                 }))
             }
             None => None,

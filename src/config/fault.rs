@@ -77,13 +77,16 @@ pub(super) struct Report<'a> {
     /// The configuration file.
     pub(super) file: &'a Path,
     text: &'a str,
+    /// The password and token files that were read.
+    pub(super) secrets: RefCell<Vec<PathBuf>>,
     faults: RefCell<Vec<Fault>>,
     warnings: RefCell<Vec<Warning>>,
 }
 
 impl<'a> Report<'a> {
     pub(super) fn new(file: &'a Path, text: &'a str) -> Self {
-        Self { file, text, faults: RefCell::default(), warnings: RefCell::default() }
+        let (faults, warnings) = (RefCell::default(), RefCell::default());
+        Self { file, text, secrets: RefCell::default(), faults, warnings }
     }
 
     /// The line of an offset into the text.

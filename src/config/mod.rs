@@ -12,9 +12,10 @@ mod secret;
 mod section;
 #[cfg(test)]
 mod tests;
+mod token;
 
 use std::fs;
-use std::net::IpAddr;
+use std::net::{IpAddr, SocketAddr};
 use std::num::NonZeroUsize;
 use std::path::Path;
 use std::sync::Arc;
@@ -33,6 +34,7 @@ pub use fault::{Fault, Faults, Warning};
 pub use model::{Admin, Config, NotAPrefilter, Prefilter, Runtime};
 pub use node_range::{NodeRange, NotANodeRange};
 pub(crate) use secret::read_password;
+pub use token::{NotAToken, Token};
 
 /// A worker that looks for datagrams longer than that would rather sleep.
 const MOST_BUSY_POLL: Duration = Duration::from_millis(1);
@@ -93,7 +95,8 @@ fn read(mut root: Section<'_>) -> Option<Config> {
     overlap::refuse_overlaps(&drafts, &listen);
     report.is_sound().then(|| {
         let table = Arc::new(table(header, drafts));
-        Config { listen, table, limits, runtime, admin }
+        let files = [vec![report.file.to_owned()], report.secrets.take()].concat();
+        Config { listen, table, limits, runtime, admin, files }
     })
 }
 
@@ -158,10 +161,21 @@ fn read_runtime(mut section: Section<'_>, runtime: &mut Runtime) {
 
 fn admin(mut section: Section<'_>) -> Option<Admin> {
     let enabled = section.key("enabled", "true").boolean().unwrap_or(true);
-    let listen = section.key("listen", "\"127.0.0.1:9378\"").parse();
+    let listen_entry = section.key("listen", "\"127.0.0.1:9378\"");
+    let listen = listen_entry.parse().unwrap_or(SocketAddr::from(([127, 0, 0, 1], 9378)));
+    let token_file = section.key("token_file", "\"secrets/admin\"");
+    let token = token::token_file(&token_file);
+    let open_metrics = section.key("metrics_without_token", "true");
     section.finish();
-    let listen = listen.unwrap_or(([127, 0, 0, 1], 9378).into());
-    enabled.then_some(Admin { listen })
+    let beyond = !listen.ip().to_canonical().is_loopback();
+    if enabled && beyond && !token_file.is_there() {
+        listen_entry.fault(
+            format!("{listen} can be reached from other hosts, and would answer them all"),
+            "set `token_file`, or listen on \"127.0.0.1:9378\"",
+        );
+    }
+    let metrics_without_token = open_metrics.boolean().unwrap_or(false);
+    enabled.then_some(Admin { listen, token, metrics_without_token })
 }
 
 fn table(header: Header, drafts: Vec<Draft<'_>>) -> Table {

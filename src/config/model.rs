@@ -3,11 +3,14 @@
 
 use std::net::{IpAddr, SocketAddr};
 use std::num::NonZeroUsize;
+use std::path::PathBuf;
 use std::str::FromStr;
 use std::sync::Arc;
 use std::time::Duration;
 
 use crate::relay::{Limits, Table};
+
+use super::token::Token;
 
 /// A sound configuration.
 #[derive(Clone, Debug)]
@@ -22,6 +25,9 @@ pub struct Config {
     pub runtime: Runtime,
     /// The admin server; none when it is switched off.
     pub admin: Option<Admin>,
+    /// What it was read from, and is read from again: the configuration file, and the files with
+    /// passwords and tokens.
+    pub files: Vec<PathBuf>,
 }
 
 /// How the process runs.
@@ -85,4 +91,8 @@ impl Default for Runtime {
 pub struct Admin {
     /// Where it listens.
     pub listen: SocketAddr,
+    /// What whoever asks has to show; probes need not.
+    pub token: Option<Token>,
+    /// Whether the metrics are for everybody all the same.
+    pub metrics_without_token: bool,
 }

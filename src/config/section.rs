@@ -157,6 +157,11 @@ impl<'a> Entry<'a> {
         list.iter().enumerate().map(|(index, value)| self.element(index, value)).collect()
     }
 
+    /// Whether there is a value.
+    pub(super) fn is_there(&self) -> bool {
+        self.value.is_some()
+    }
+
     /// Whether this value is a whole number, where other kinds would do as well.
     pub(super) fn is_integer(&self) -> bool {
         self.value.is_some_and(|value| value.get_ref().is_integer())

@@ -4,11 +4,15 @@
 //! Labels are names of the configuration, node addresses and labels of enums: never a client's
 //! address, never a password.
 
-use prometheus::proto::{Bucket, Counter, Gauge, Histogram, LabelPair, Metric, MetricType};
+use prometheus::proto::{
+    Bucket, Counter, Gauge, Histogram, LabelPair, Metric, MetricFamily, MetricType,
+};
 
+use super::metric_family;
 use super::totals::{DirectionTotals, NetTotals, NodeTotals};
 use crate::net::KernelDrops;
 use crate::relay::{CloseReason, Direction, Net, RESPONSE_BUCKETS};
+use crate::sandbox::{Layer, Sandbox, State};
 
 /// A family of which each net has samples.
 pub(super) struct NetFamily {
@@ -209,6 +213,19 @@ fn last_responses(sums: &NetSums<'_>) -> Vec<Metric> {
         let at = totals.last_response.map_or(0.0, |last| sums.started_at + last.as_secs_f64());
         gauge(labels, at)
     })
+}
+
+/// How the process is confined.
+pub(super) fn sandbox_layers(sandbox: &Sandbox) -> MetricFamily {
+    let sample = |(layer, state): (Layer, &State)| {
+        gauge(&[("layer", layer.label())], f64::from(*state == State::On))
+    };
+    metric_family(
+        "pnet_nat_sandbox_layer",
+        "Whether this layer of confinement is in force as a whole.",
+        MetricType::GAUGE,
+        sandbox.layers().map(sample).collect(),
+    )
 }
 
 type Label<'a> = (&'a str, &'a str);

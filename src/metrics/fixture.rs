@@ -40,7 +40,12 @@ pub(crate) fn config() -> Config {
             wrong_password_interval: Duration::from_secs(60),
         },
         runtime: Runtime::default(),
-        admin: Some(Admin { listen: SocketAddr::from(([127, 0, 0, 1], 9378)) }),
+        admin: Some(Admin {
+            listen: SocketAddr::from(([127, 0, 0, 1], 9378)),
+            token: None,
+            metrics_without_token: false,
+        }),
+        files: Vec::new(),
     }
 }
 

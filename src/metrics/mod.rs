@@ -25,6 +25,7 @@ use self::families::{NET_FAMILIES, NetFamily, NetSums, ROUTER_FAMILIES, RouterFa
 use self::totals::{NetTotals, NodeTotals};
 use crate::net::{KernelDrops, Router};
 use crate::relay::NetId;
+use crate::sandbox::Sandbox;
 
 /// The format of [`Metrics::chunks`].
 pub const CONTENT_TYPE: &str = "text/plain; version=0.0.4; charset=utf-8";
@@ -37,16 +38,17 @@ const STRAY_NODE: &str = "0";
 #[derive(Clone, Debug)]
 pub struct Metrics {
     router: Arc<Router>,
+    sandbox: Sandbox,
     /// Unix time of the router's start, in microseconds, by the clock as it was set at the last
     /// scrape: a router without a battery learns the time long after its start.
     started_at: Arc<AtomicU64>,
 }
 
 impl Metrics {
-    /// The metrics of `router`.
-    pub fn new(router: Arc<Router>) -> Self {
+    /// The metrics of `router`, in a process that is confined like this.
+    pub fn new(router: Arc<Router>, sandbox: Sandbox) -> Self {
         let started_at = Arc::new(AtomicU64::new(started_at(&router)));
-        Self { router, started_at }
+        Self { router, sandbox, started_at }
     }
 
     /// All metrics in Prometheus' text format, piece by piece; each piece is summed up and encoded
@@ -54,12 +56,13 @@ impl Metrics {
     pub fn chunks(&self) -> impl Iterator<Item = String> + Send + use<> {
         self.look_at_the_clock();
         let (by_net, metrics) = (self.clone(), self.clone());
+        let layers = iter::once(families::sandbox_layers(&self.sandbox));
         let router = ROUTER_FAMILIES.iter().map(move |family| metrics.router_family(family));
         let process = iter::once_with(|| ProcessCollector::for_self().collect()).flatten();
         NET_FAMILIES
             .iter()
             .flat_map(move |family| by_net.clone().net_family(family))
-            .chain(router.chain(process).filter_map(|family| encode(&family)))
+            .chain(router.chain(layers).chain(process).filter_map(|family| encode(&family)))
     }
 
     /// What little the clock is off leaves the timestamps as they are, so that they do not wobble.

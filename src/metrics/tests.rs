@@ -6,6 +6,7 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 use super::fixture::{NODE_1, NODE_33, SECTION, config};
 use super::*;
 use crate::relay::{CloseReason, Direction, DropReason, RESPONSE_BUCKETS};
+use crate::sandbox::Sandbox;
 
 /// A scrape: samples by their series as written, and families with their types in order.
 struct Scrape {
@@ -15,7 +16,7 @@ struct Scrape {
 
 impl Scrape {
     fn of(router: &Arc<Router>) -> Self {
-        Self::parse(&Metrics::new(router.clone()).chunks().collect::<String>())
+        Self::parse(&Metrics::new(router.clone(), Sandbox::off()).chunks().collect::<String>())
     }
 
     /// Reads the text format. Fails unless each family is one block: HELP, TYPE, then its samples.
@@ -180,7 +181,7 @@ fn the_last_response_is_the_latest_of_all_workers_in_unix_time() {
 #[test]
 fn text_comes_net_by_net_and_only_when_asked_for() {
     let router = Router::idle(config(), 1);
-    let mut chunks = Metrics::new(router.clone()).chunks();
+    let mut chunks = Metrics::new(router.clone(), Sandbox::off()).chunks();
     let first = chunks.next().unwrap();
     assert!(first.contains("section-1") && !first.contains("press"), "{first}");
     let press = router.counters()[0].node(crate::relay::MappingId(1));
@@ -194,7 +195,7 @@ fn a_large_table_comes_in_pieces_that_are_small() {
     let mut config = config();
     config.table = fixture::large_table();
     let (mut series, mut largest) = (0, 0);
-    for chunk in Metrics::new(Router::idle(config, 2)).chunks() {
+    for chunk in Metrics::new(Router::idle(config, 2), Sandbox::off()).chunks() {
         series += chunk.lines().filter(|line| !line.starts_with('#')).count();
         largest = largest.max(chunk.len());
     }

@@ -21,4 +21,4 @@ mod worker;
 
 pub use descriptors::TooFewDescriptors;
 pub use public::KernelDrops;
-pub use router::{Router, StartError};
+pub use router::{Bound, Router, StartError};

@@ -61,7 +61,8 @@ pub enum StartError {
     NotOurAddress(SocketAddr),
     /// A port below 1024 without the capability for it.
     #[error(
-        "UDP port {0} needs a privilege; choose ports above 1023, or grant CAP_NET_BIND_SERVICE"
+        "UDP port {0} needs CAP_NET_BIND_SERVICE, which is given up after the start; choose ports \
+         above 1023, or restart with that capability"
     )]
     NotPermitted(SocketAddr),
     /// Another error of the system.
@@ -72,9 +73,35 @@ pub enum StartError {
     Worker(#[from] io::Error),
 }
 
+/// A router with all of its sockets and none of its threads.
+pub struct Bound {
+    router: Router,
+    workers: Vec<Worker>,
+}
+
+impl Bound {
+    /// Starts the workers. They inherit what the calling thread may do.
+    pub fn start(self) -> Result<Router, StartError> {
+        let Self { mut router, workers } = self;
+        let mut threads = Vec::new();
+        for (index, worker) in workers.into_iter().enumerate() {
+            let thread = thread::Builder::new().name(format!("worker-{index}"));
+            threads.push(thread.spawn(move || worker.run())?);
+        }
+        router.threads = Mutex::new(threads);
+        router.ready = AtomicBool::new(true);
+        Ok(router)
+    }
+}
+
 impl Router {
     /// Binds every socket and starts the workers.
     pub fn start(config: Config) -> Result<Self, StartError> {
+        Self::bind(config)?.start()
+    }
+
+    /// Binds every socket, and starts no thread yet.
+    pub fn bind(config: Config) -> Result<Bound, StartError> {
         let started = Instant::now();
         let addresses = config.table.mappings().len() * config.listen.len();
         let plan = descriptors::plan(addresses, config.runtime.workers)?;
@@ -90,17 +117,10 @@ impl Router {
             ready: AtomicBool::new(false),
             started,
         };
-        let workers: Vec<_> = (0..plan.workers)
+        let workers = (0..plan.workers)
             .map(|index| router.build_worker(index, &plan, rules.clone()))
             .collect::<io::Result<_>>()?;
-        let mut threads = Vec::new();
-        for (index, worker) in workers.into_iter().enumerate() {
-            let thread = thread::Builder::new().name(format!("worker-{index}"));
-            threads.push(thread.spawn(move || worker.run())?);
-        }
-        router.threads = Mutex::new(threads);
-        router.ready = AtomicBool::new(true);
-        Ok(router)
+        Ok(Bound { router, workers })
     }
 
     /// A router without sockets and threads, for tests of what asks it for figures.

@@ -4,9 +4,11 @@
 //! made. Each scenario has a /24 of loopback to itself, so they run side by side. A scenario that
 //! needs what the machine lacks says so and is left out; with `PNET_NAT_TESTS=all` it fails.
 
+mod admin;
 mod bad_input;
 mod check;
 mod commands;
+mod confinement;
 mod drops;
 mod faults;
 mod floods;

@@ -21,7 +21,9 @@ use tokio::sync::oneshot;
 
 use super::signals::Signals;
 use crate::admin;
+use crate::log;
 use crate::net::Router;
+use crate::sandbox::Sandbox;
 
 use figures::Figures;
 use plant::Plant;
@@ -48,6 +50,7 @@ pub(super) struct Args {
 
 /// Runs the demo; fails unless every answer was right and the stranger got none.
 pub(super) fn run(args: Args) -> anyhow::Result<ExitCode> {
+    let _log = log::in_background();
     tokio::runtime::Builder::new_current_thread().enable_all().build()?.block_on(demo(args))
 }
 
@@ -61,7 +64,7 @@ async fn demo(args: Args) -> anyhow::Result<ExitCode> {
     let router = Router::start(plant.config(admin_address)).context("the relay does not start")?;
     let router = Arc::new(router);
     let (stop_admin, admin_stopped) = oneshot::channel::<()>();
-    let admin = tokio::spawn(admin::serve(admin, Arc::clone(&router), async {
+    let admin = tokio::spawn(admin::serve(admin, Arc::clone(&router), Sandbox::off(), async {
         let _ = admin_stopped.await;
     }));
 

@@ -106,7 +106,8 @@ impl Plant {
                 wrong_password_interval: Duration::from_millis(200),
             },
             runtime: Runtime::default(),
-            admin: Some(Admin { listen: admin }),
+            admin: Some(Admin { listen: admin, token: None, metrics_without_token: false }),
+            files: Vec::new(),
         }
     }
 }

@@ -349,6 +349,50 @@ fn warns_of_what_is_probably_not_meant() {
 }
 
 #[test]
+fn refuses_an_admin_server_that_answers_strangers() {
+    let listen =
+        |listen: &str| changed("[public]", &format!("admin.listen = \"{listen}\"\n[public]"));
+    for beyond in ["0.0.0.0:9378", "192.0.2.1:9378", "[::]:9378", "[::ffff:192.0.2.1]:9378"] {
+        let Err(Faults(faults)) = read(&listen(beyond)) else { panic!("{beyond}") };
+        let [fault] = faults.as_slice() else { panic!("{faults:#?}") };
+        assert_eq!((fault.line, fault.key.as_str()), (Some(1), "admin.listen"), "{beyond}");
+        assert!(fault.remedy.contains("set `token_file`"), "{fault}");
+    }
+    for own in ["127.0.0.1:9378", "127.9.9.9:1", "[::1]:9378", "[::ffff:127.0.0.1]:9378"] {
+        assert!(read(&listen(own)).is_ok(), "{own}");
+    }
+    let off = "admin.enabled = false\nadmin.listen = \"0.0.0.0:9378\"\n[public]";
+    assert!(read(&changed("[public]", off)).is_ok());
+}
+
+#[test]
+fn refuses_a_token_that_is_none() {
+    let token = |file: &str| format!("admin.token_file = \"secrets/{file}\"\n[public]");
+    for (file, part) in [
+        ("absent", "openssl rand -hex 16"),
+        ("short-token", "16 to 256 letters"),
+        ("two-lines", "16 to 256 letters"),
+        ("any-octets", "16 to 256 letters"),
+        ("for-others", "chmod 600"),
+    ] {
+        let Err(Faults(faults)) = read(&changed("[public]", &token(file))) else {
+            panic!("{file}")
+        };
+        let [fault] = faults.as_slice() else { panic!("{faults:#?}") };
+        assert_eq!((fault.line, fault.key.as_str()), (Some(1), "admin.token_file"), "{file}");
+        let message = fault.to_string();
+        assert!(message.contains(part) && !message.contains("s3cr3t"), "{message}");
+    }
+    for file in ["token", "token-with-newline"] {
+        let (config, _) = read(&changed("[public]", &token(file))).unwrap();
+        assert!(!format!("{config:?}").contains("s3cr3t"));
+        let token = config.admin.unwrap().token.unwrap();
+        assert!(token.matches(b"s3cr3t-0123456789") && !token.matches(b"s3cr3t-012345678"));
+        assert!(config.files.iter().any(|path| path.ends_with(format!("secrets/{file}"))));
+    }
+}
+
+#[test]
 fn a_file_that_cannot_be_read_is_a_fault_too() {
     let folder = folder();
     let absent = load(&folder.path().join("absent.toml")).unwrap_err();

@@ -46,7 +46,7 @@ fn folder() -> TempDir {
     let folder = tempfile::tempdir().unwrap();
     let secrets = folder.path().join("secrets");
     fs::create_dir(&secrets).unwrap();
-    let files: [(&str, &[u8], u32); 9] = [
+    let files: [(&str, &[u8], u32); 13] = [
         ("a", b"s3cr3t-A", 0o600),
         ("b", b"s3cr3t-B", 0o400),
         ("same-as-a", b"s3cr3t-A", 0o600),
@@ -55,6 +55,10 @@ fn folder() -> TempDir {
         ("newline", b"s3cr3t-A\n", 0o600),
         ("for-group", b"s3cr3t-A", 0o620),
         ("for-others", b"s3cr3t-A", 0o604),
+        ("token", b"s3cr3t-0123456789", 0o600),
+        ("token-with-newline", b"s3cr3t-0123456789\n", 0o640),
+        ("short-token", b"s3cr3t-01234567\n", 0o600),
+        ("two-lines", b"s3cr3t-0123456789\ns3cr3t", 0o600),
         ("any-octets", b"\0\xff\n\r\x7f\0\0\0", 0o440),
     ];
     for (name, octets, mode) in files {

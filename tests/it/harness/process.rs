@@ -2,7 +2,7 @@
 
 use std::fs::{self, DirEntry};
 use std::io::{self, BufRead, BufReader, Read};
-use std::process::{Child, Command, Stdio};
+use std::process::{Child, Command, ExitStatus, Stdio};
 use std::sync::{Arc, Mutex};
 use std::thread::{self, JoinHandle};
 
@@ -88,13 +88,18 @@ impl Process {
 
     /// Waits until it has ended and tells its exit code; none when a signal killed it.
     pub(crate) fn end(&mut self) -> Option<i32> {
+        self.status().code()
+    }
+
+    /// Waits until it has ended and tells how.
+    pub(crate) fn status(&mut self) -> ExitStatus {
         let status = eventually("the process ends", || self.child.try_wait().unwrap());
         for output in [&mut self.stdout, &mut self.stderr] {
             if let Some(reader) = output.reader.take() {
                 reader.join().unwrap();
             }
         }
-        status.code()
+        status
     }
 
     pub(crate) fn has_ended(&mut self) -> bool {

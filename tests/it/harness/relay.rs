@@ -54,9 +54,13 @@ pub(crate) fn folder(configuration: &str) -> TempDir {
     let folder = tempfile::tempdir().unwrap();
     fs::write(folder.path().join("pnet-nat.toml"), configuration).unwrap();
     fs::create_dir(folder.path().join("secrets")).unwrap();
-    for (name, password) in
-        [("section-1", PASSWORD), ("press", SECOND), ("section-1-device", DEVICE)]
-    {
+    let secrets: [(&str, &[u8]); 4] = [
+        ("section-1", PASSWORD),
+        ("press", SECOND),
+        ("section-1-device", DEVICE),
+        ("admin", b"s3cr3t-0123456789"),
+    ];
+    for (name, password) in secrets {
         let path = folder.path().join("secrets").join(name);
         fs::write(&path, password).unwrap();
         fs::set_permissions(&path, Permissions::from_mode(0o600)).unwrap();

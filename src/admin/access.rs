@@ -1,0 +1,184 @@
+//! Who is answered: holders of the token, and where there is none, whoever is not a web page of
+//! somebody else's.
+//!
+//! Probes are always answered: they tell nothing, and nobody hands a probe a token.
+
+use axum::extract::{Request, State};
+use axum::http::header::{
+    AUTHORIZATION, CACHE_CONTROL, CONTENT_SECURITY_POLICY, HOST, HeaderName, ORIGIN,
+    REFERRER_POLICY, WWW_AUTHENTICATE, X_CONTENT_TYPE_OPTIONS,
+};
+use axum::http::uri::Authority;
+use axum::http::{HeaderMap, HeaderValue, Method, StatusCode};
+use axum::middleware::Next;
+use axum::response::{IntoResponse, Response};
+
+use super::Shared;
+use crate::config::Admin;
+
+/// Said with every answer: a page from here loads and is shown nowhere but here, and nothing of it
+/// is kept or passed on.
+const HEADERS: [(HeaderName, &str); 5] = [
+    (
+        CONTENT_SECURITY_POLICY,
+        "default-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
+    ),
+    (X_CONTENT_TYPE_OPTIONS, "nosniff"),
+    (REFERRER_POLICY, "no-referrer"),
+    (HeaderName::from_static("cross-origin-resource-policy"), "same-origin"),
+    (CACHE_CONTROL, "no-store"),
+];
+
+/// Hands on what may be answered, and refuses the rest.
+pub(super) async fn control(
+    State(shared): State<Shared>,
+    request: Request,
+    next: Next,
+) -> Response {
+    let admin = shared.router.config().admin.as_ref();
+    let mut response = match admin.map_or(Ok(()), |admin| admit(admin, &request)) {
+        Ok(()) => next.run(request).await,
+        Err(refusal) => refusal.into_response(),
+    };
+    for (name, value) in HEADERS {
+        response.headers_mut().insert(name, HeaderValue::from_static(value));
+    }
+    response
+}
+
+/// Why a request is not answered.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Refusal {
+    Token,
+    Host,
+    Origin,
+}
+
+impl IntoResponse for Refusal {
+    fn into_response(self) -> Response {
+        match self {
+            Self::Token => {
+                let challenge = [(WWW_AUTHENTICATE, "Bearer realm=\"pnet-nat\"")];
+                let text =
+                    "The token of [admin] token_file is needed: Authorization: Bearer TOKEN\n";
+                (StatusCode::UNAUTHORIZED, challenge, text).into_response()
+            }
+            Self::Host => {
+                let text = "Ask by IP address or as localhost, or set [admin] token_file.\n";
+                (StatusCode::MISDIRECTED_REQUEST, text).into_response()
+            }
+            Self::Origin => (StatusCode::FORBIDDEN, "Not from another site.\n").into_response(),
+        }
+    }
+}
+
+fn admit(admin: &Admin, request: &Request) -> Result<(), Refusal> {
+    let path = request.uri().path();
+    let open = matches!(path, "/-/healthy" | "/-/ready")
+        || (path == "/metrics" && admin.metrics_without_token);
+    let Some(token) = &admin.token else {
+        return if open { Ok(()) } else { refuse_other_sites(request.method(), request.headers()) };
+    };
+    let has_token = |value: &HeaderValue| {
+        let (scheme, given) = value.as_bytes().split_at_checked("Bearer ".len())?;
+        (scheme.eq_ignore_ascii_case(b"Bearer ") && token.matches(given)).then_some(())
+    };
+    let given = request.headers().get(AUTHORIZATION).and_then(has_token);
+    if open || given.is_some() { Ok(()) } else { Err(Refusal::Token) }
+}
+
+/// A browser on this host sends what any page it shows makes it send. A page can have its own name
+/// resolved to this host, but not leave its name out of `Host`; and it cannot hide that it is its
+/// own when it makes a change.
+fn refuse_other_sites(method: &Method, headers: &HeaderMap) -> Result<(), Refusal> {
+    let host = headers.get(HOST).map(|host| host.to_str().unwrap_or_default());
+    if !host.is_none_or(is_own) {
+        return Err(Refusal::Host);
+    }
+    let origin = headers.get(ORIGIN).map(|origin| origin.to_str().unwrap_or_default());
+    let own = |origin: &str| origin.strip_prefix("http://") == host;
+    if !method.is_safe() && !origin.is_none_or(own) {
+        return Err(Refusal::Origin);
+    }
+    Ok(())
+}
+
+/// Whether a host is no name that a stranger can have registered.
+fn is_own(host: &str) -> bool {
+    let Ok(authority) = host.parse::<Authority>() else { return false };
+    let host = authority.host().trim_start_matches('[').trim_end_matches(']');
+    host.eq_ignore_ascii_case("localhost") || host.parse::<std::net::IpAddr>().is_ok()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::Token;
+
+    fn ask(admin: &Admin, method: &str, path: &str, headers: &[(&str, &str)]) -> Option<Refusal> {
+        let mut request = axum::http::Request::builder().method(method).uri(path);
+        for (name, value) in headers {
+            request = request.header(*name, *value);
+        }
+        admit(admin, &request.body(axum::body::Body::empty()).unwrap()).err()
+    }
+
+    fn admin(token: Option<&str>, metrics_without_token: bool) -> Admin {
+        let listen = "127.0.0.1:9378".parse().unwrap();
+        let token = token.map(|token| Token::new(token.as_bytes()).unwrap());
+        Admin { listen, token, metrics_without_token }
+    }
+
+    const TOKEN: &str = "0123456789abcdef";
+
+    #[test]
+    fn with_a_token_all_but_probes_need_it() {
+        let admin = admin(Some(TOKEN), false);
+        for path in ["/", "/metrics", "/api/v1/flows", "/none", "/-/ready/", "/-/reload"] {
+            for method in ["GET", "POST", "DELETE"] {
+                let ask = |value: &str| ask(&admin, method, path, &[("authorization", value)]);
+                assert_eq!(ask("Bearer 0123456789abcdef"), None);
+                assert_eq!(ask("bearer 0123456789abcdef"), None);
+                for wrong in ["", "Bearer ", "Bearer 0123456789abcdeg", "Bearer 0123456789abcde"]
+                    .into_iter()
+                    .chain(["Bearer 0123456789abcdef0", "Basic 0123456789abcdef", TOKEN])
+                {
+                    assert_eq!(ask(wrong), Some(Refusal::Token), "{wrong}");
+                }
+            }
+            assert_eq!(super::tests::ask(&admin, "GET", path, &[]), Some(Refusal::Token));
+        }
+        for path in ["/-/healthy", "/-/ready"] {
+            assert_eq!(ask(&admin, "GET", path, &[("host", "relay.example")]), None);
+        }
+    }
+
+    #[test]
+    fn metrics_can_be_left_open() {
+        let admin = admin(Some(TOKEN), true);
+        assert_eq!(ask(&admin, "GET", "/metrics", &[]), None);
+        assert_eq!(ask(&admin, "GET", "/metrics/", &[]), Some(Refusal::Token));
+        assert_eq!(ask(&admin, "GET", "/api/v1/nets", &[]), Some(Refusal::Token));
+    }
+
+    #[test]
+    fn without_a_token_pages_of_others_are_refused() {
+        let admin = admin(None, false);
+        for host in ["127.0.0.1:9378", "localhost:9378", "LOCALHOST", "[::1]:9378", "10.1.2.3"] {
+            assert_eq!(ask(&admin, "GET", "/", &[("host", host)]), None, "{host}");
+        }
+        let others = ["evil.example:9378", "127.0.0.1.evil.example", "localhost.evil.example"];
+        for host in others.into_iter().chain(["", "a b", "localhost@evil.example", "127.0.0.1."]) {
+            let refused = ask(&admin, "GET", "/", &[("host", host)]);
+            assert_eq!(refused, Some(Refusal::Host), "{host}");
+        }
+        assert_eq!(ask(&admin, "GET", "/", &[]), None, "browsers always tell");
+
+        let post = |origin| ask(&admin, "POST", "/", &[("host", "localhost:9378"), origin]);
+        assert_eq!(post(("origin", "http://localhost:9378")), None);
+        assert_eq!(post(("accept", "*/*")), None);
+        for origin in ["http://localhost:8080", "https://evil.example", "null", ""] {
+            assert_eq!(post(("origin", origin)), Some(Refusal::Origin), "{origin}");
+        }
+    }
+}

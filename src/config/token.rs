@@ -1,0 +1,71 @@
+//! The token of the admin server: a file with one line.
+
+use std::fmt;
+use std::io;
+use std::ops::RangeInclusive;
+
+use subtle::ConstantTimeEq;
+use zeroize::{ZeroizeOnDrop, Zeroizing};
+
+use super::secret::{self, SecretError};
+use super::section::Entry;
+
+/// What a bearer has to show. Compared in constant time, wiped when dropped, and never shown by
+/// `Debug`.
+#[derive(Clone, ZeroizeOnDrop)]
+pub struct Token(Vec<u8>);
+
+/// A text that is no token.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("a token has 16 to 256 letters, digits and -._~+/=")]
+pub struct NotAToken;
+
+impl Token {
+    const LEN: RangeInclusive<usize> = 16..=256;
+
+    /// The token made of these characters, of which there are 16 to 256: letters, digits, and
+    /// `-._~+/=` (RFC 6750, 2.1).
+    pub fn new(characters: &[u8]) -> Result<Self, NotAToken> {
+        let fit = |c: &u8| c.is_ascii_alphanumeric() || b"-._~+/=".contains(c);
+        let sound = Self::LEN.contains(&characters.len()) && characters.iter().all(fit);
+        if sound { Ok(Self(characters.to_vec())) } else { Err(NotAToken) }
+    }
+
+    /// Whether this is the token, found out in a time that tells no more than its length.
+    pub fn matches(&self, given: &[u8]) -> bool {
+        self.0.ct_eq(given).into()
+    }
+}
+
+impl fmt::Debug for Token {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("Token(hidden)")
+    }
+}
+
+/// The token in the file that `entry` names, relative to the folder of the configuration. A line
+/// break at its end is no part of it.
+pub(super) fn token_file(entry: &Entry<'_>) -> Option<Token> {
+    let path = secret::path(entry)?;
+    let write = format!("write one: `(umask 077; openssl rand -hex 16 > {path:?})`");
+    // One octet more than a token and its line break have.
+    let mut octets = Zeroizing::new([0; *Token::LEN.end() + 2]);
+    let read = secret::open(&path).and_then(|mut file| {
+        let unreadable = |source| SecretError::Unreadable { path: path.clone(), source };
+        secret::fill(&mut file, octets.as_mut_slice()).map_err(unreadable)
+    });
+    let absent = io::ErrorKind::NotFound;
+    match read {
+        Ok(read) => {
+            let line = &octets[..read];
+            let token = Token::new(line.strip_suffix(b"\n").unwrap_or(line));
+            token.map_err(|error| entry.fault(format!("{path:?}: {error}"), write)).ok()
+        }
+        Err(error) => {
+            let is_absent =
+                matches!(&error, SecretError::Unreadable { source, .. } if source.kind() == absent);
+            entry.fault(error.to_string(), if is_absent { write } else { error.remedy() });
+            None
+        }
+    }
+}

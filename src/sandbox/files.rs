@@ -1,0 +1,117 @@
+//! Landlock: which files can be read, and that nothing else of the file system, no TCP connection
+//! and no foreign process can be reached.
+
+use std::collections::BTreeSet;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use landlock::{
+    ABI, Access, AccessFs, AccessNet, BitFlags, LandlockStatus, PathBeneath, PathFd, Ruleset,
+    RulesetAttr, RulesetCreatedAttr, RulesetError, RulesetStatus, Scope,
+};
+
+use super::State;
+
+/// What is asked for; a kernel that knows less gives what it has. Raise it once it is tested.
+const KNOWN: ABI = ABI::V7;
+
+/// What `process_*` metrics are made from: a folder, and files.
+const OWN_FOLDER: &str = "/proc/self";
+const OWN_FILES: [&str; 2] = ["/proc/stat", "/proc/sys/kernel/osrelease"];
+
+/// What Landlock permits in /proc has to stay open: the kernel forgets files there that nobody has
+/// open, and makes them anew, without the permission.
+#[derive(Debug, Default)]
+pub(super) struct OwnFigures(Vec<(PathFd, BitFlags<AccessFs>)>);
+
+impl OwnFigures {
+    /// Opens those that there are: a container may have no /proc.
+    fn open() -> Self {
+        let folder = [(OWN_FOLDER, AccessFs::ReadFile | AccessFs::ReadDir)];
+        let files = OWN_FILES.map(|path| (path, AccessFs::ReadFile.into()));
+        let open = |(path, access)| Some((PathFd::new(path).ok()?, access));
+        Self(folder.into_iter().chain(files).filter_map(open).collect())
+    }
+}
+
+/// Confines the calling thread, and those it starts, to reading what is or will be in the folders of
+/// the `readable` files.
+pub(super) fn confine(readable: &[PathBuf]) -> (State, OwnFigures) {
+    let own_figures = OwnFigures::open();
+    let state = restrict(readable, &own_figures).unwrap_or_else(State::Missing);
+    (state, own_figures)
+}
+
+fn restrict(readable: &[PathBuf], own_figures: &OwnFigures) -> Result<State, String> {
+    let open = |folder| PathFd::new(folder).map_err(|error| error.to_string());
+    let folders: Vec<_> = folders(readable).into_iter().map(open).collect::<Result<_, _>>()?;
+    let folders = folders.iter().map(|folder| PathBeneath::new(folder, AccessFs::ReadFile));
+    let figures = own_figures.0.iter().map(|(figure, access)| PathBeneath::new(figure, *access));
+    let status = Ruleset::default()
+        .handle_access(AccessFs::from_all(KNOWN))
+        .and_then(|rules| rules.handle_access(AccessNet::from_all(KNOWN)))
+        .and_then(|rules| rules.scope(Scope::from_all(KNOWN)))
+        .and_then(Ruleset::create)
+        .and_then(|rules| rules.add_rules(folders.chain(figures).map(Ok::<_, RulesetError>)))
+        .and_then(|rules| rules.restrict_self())
+        .map_err(|error| error.to_string())?;
+    Ok(match (status.ruleset, status.landlock) {
+        (RulesetStatus::FullyEnforced, _) => State::On,
+        (_, LandlockStatus::NotImplemented) => State::Missing("not in this kernel".into()),
+        (_, LandlockStatus::NotEnabled) => {
+            State::Missing("switched off in this kernel (lsm= of its command line)".into())
+        }
+        (RulesetStatus::NotEnforced, _) => State::Missing("the kernel refuses it".into()),
+        (RulesetStatus::PartiallyEnforced, LandlockStatus::Available { effective_abi, .. }) => {
+            State::Partly(format!("an older kernel: ABI {effective_abi:?} of {KNOWN:?}"))
+        }
+    })
+}
+
+/// The folders that the files are in, so that files which take their place are readable too: by
+/// name, and where links lead, as far as that is elsewhere.
+fn folders(files: &[PathBuf]) -> BTreeSet<PathBuf> {
+    let real = files.iter().filter_map(|file| fs::canonicalize(file).ok());
+    let mut folders = BTreeSet::new();
+    for file in files.iter().cloned().chain(real) {
+        let folder = file.parent().filter(|folder| *folder != Path::new(""));
+        let folder = folder.unwrap_or(Path::new("."));
+        folders.insert(fs::canonicalize(folder).unwrap_or_else(|_| folder.to_owned()));
+    }
+    let all = folders.clone();
+    folders.retain(|folder| !folder.ancestors().skip(1).any(|above| all.contains(above)));
+    folders
+}
+
+#[cfg(test)]
+mod tests {
+    use std::os::unix::fs::symlink;
+
+    use super::*;
+
+    #[test]
+    fn folders_are_those_of_names_and_of_where_links_lead() {
+        let root = tempfile::tempdir().unwrap();
+        let root = root.path().canonicalize().unwrap();
+        let (etc, run) = (root.join("etc"), root.join("run"));
+        for folder in ["etc/secrets/..1", "run/secrets"] {
+            fs::create_dir_all(root.join(folder)).unwrap();
+        }
+        for file in ["etc/relay.toml", "etc/secrets/..1/a", "run/secrets/b"] {
+            fs::write(root.join(file), "").unwrap();
+        }
+        symlink("..1", etc.join("secrets/..data")).unwrap();
+        symlink("..data/a", etc.join("secrets/a")).unwrap();
+        symlink(run.join("secrets/b"), etc.join("secrets/b")).unwrap();
+
+        let secrets = [etc.join("secrets/a"), etc.join("secrets/b")];
+        let found = folders(&secrets);
+        assert_eq!(found, BTreeSet::from([etc.join("secrets"), run.join("secrets")]));
+        let found = folders(&[secrets.as_slice(), &[etc.join("relay.toml")]].concat());
+        assert_eq!(found, BTreeSet::from([etc, run.join("secrets")]));
+        assert_eq!(
+            folders(&["relay.toml".into()]),
+            BTreeSet::from([std::env::current_dir().unwrap()])
+        );
+    }
+}

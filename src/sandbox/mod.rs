@@ -1,0 +1,174 @@
+//! Confinement: what the process gives up for good, so that a fault in it cannot become a way into
+//! the host.
+//!
+//! It comes in two steps, [`prepare`] before the first file is read and [`Prepared::confine`] once
+//! every socket is bound. Both belong on the main thread before another one runs: most of this is
+//! a matter of single threads, and of what they inherit. A layer that the kernel lacks is left out
+//! and said so.
+
+mod files;
+mod privileges;
+mod system_calls;
+
+use std::fmt::Display;
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use nix::unistd::{Uid, geteuid};
+use tracing::field::display;
+
+/// A way in which the process is confined.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Layer {
+    /// No core dump shows the memory, in which passwords are, nor does a debugger without
+    /// privileges.
+    Memory,
+    /// No program that is started gains a privilege.
+    NoNewPrivs,
+    /// No capability is left, not even to root.
+    Capabilities,
+    /// Only the configuration, the passwords and the process's own figures can be read, nothing can
+    /// be written; TCP neither connects nor listens anew; no signal leaves the process.
+    Landlock,
+    /// Only the system calls of a relay are left.
+    Seccomp,
+}
+
+impl Layer {
+    /// All layers, in the order of their effect.
+    pub const ALL: [Self; 5] =
+        [Self::Memory, Self::NoNewPrivs, Self::Capabilities, Self::Landlock, Self::Seccomp];
+
+    /// Its name in logs, metrics and the API.
+    pub fn label(self) -> &'static str {
+        match self {
+            Self::Memory => "memory",
+            Self::NoNewPrivs => "no_new_privs",
+            Self::Capabilities => "capabilities",
+            Self::Landlock => "landlock",
+            Self::Seccomp => "seccomp",
+        }
+    }
+}
+
+/// How far a layer is in force.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum State {
+    /// As a whole.
+    On,
+    /// What this kernel can do of it.
+    Partly(String),
+    /// Not at all, for this reason.
+    Missing(String),
+    /// Not asked for.
+    Off,
+}
+
+impl State {
+    /// Its name in logs and the API.
+    pub fn label(&self) -> &'static str {
+        match self {
+            Self::On => "on",
+            Self::Partly(_) => "partly",
+            Self::Missing(_) => "missing",
+            Self::Off => "off",
+        }
+    }
+
+    /// Why it is not on as a whole.
+    pub fn why(&self) -> Option<&str> {
+        match self {
+            Self::Partly(why) | Self::Missing(why) => Some(why),
+            Self::On | Self::Off => None,
+        }
+    }
+
+    fn of<E: Display>(outcome: Result<(), E>) -> Self {
+        outcome.map_or_else(|error| Self::Missing(error.to_string()), |()| Self::On)
+    }
+}
+
+/// How the process is confined. Cheap to clone.
+#[derive(Clone, Debug)]
+pub struct Sandbox {
+    states: [State; Layer::ALL.len()],
+    user: Uid,
+    /// Keeps what Landlock lets the process read of itself: see [`files`].
+    _own_figures: Arc<files::OwnFigures>,
+}
+
+impl Sandbox {
+    /// No confinement.
+    pub fn off() -> Self {
+        Self { states: [const { State::Off }; _], user: geteuid(), _own_figures: Arc::default() }
+    }
+
+    /// Every layer with its state.
+    pub fn layers(&self) -> impl Iterator<Item = (Layer, &State)> {
+        Layer::ALL.into_iter().zip(&self.states)
+    }
+
+    /// Says in the log how the process is confined: one line.
+    pub fn announce(&self) {
+        let [memory, no_new_privs, capabilities, landlock, seccomp] =
+            self.states.each_ref().map(State::label);
+        let whys = self.layers().filter_map(|(layer, state)| Some((layer.label(), state.why()?)));
+        let whys: Vec<_> = whys.map(|(layer, why)| format!("{layer}: {why}")).collect();
+        let why = if whys.is_empty() { None } else { Some(display(whys.join("; "))) };
+        let user = self.user.as_raw();
+        macro_rules! line {
+            ($level:ident, $message:literal) => {
+                tracing::$level!(
+                    user,
+                    memory,
+                    no_new_privs,
+                    capabilities,
+                    landlock,
+                    seccomp,
+                    why,
+                    $message
+                )
+            };
+        }
+        if self.states.iter().all(|state| *state == State::Off) {
+            line!(warn, "not confined");
+        } else if self.states.iter().all(|state| *state == State::On) {
+            line!(info, "confined");
+        } else {
+            line!(warn, "confined in part");
+        }
+    }
+}
+
+/// What [`prepare`] has done.
+#[derive(Debug)]
+#[must_use = "this is half of the confinement"]
+pub struct Prepared {
+    memory: State,
+    no_new_privs: State,
+}
+
+/// Gives up at once what not even the start needs: debuggers, privileges of programs that it might
+/// start, and all capabilities but the one for ports below 1024. So a file that could not be read
+/// again later, confined, is not read now either.
+pub fn prepare() -> Prepared {
+    let memory = State::of(nix::sys::prctl::set_dumpable(false));
+    let no_new_privs = State::of(nix::sys::prctl::set_no_new_privs());
+    // `confine` tells how it went.
+    let _ = privileges::keep_only_low_ports();
+    Prepared { memory, no_new_privs }
+}
+
+impl Prepared {
+    /// Gives up the rest. What stays: the sockets that are there, reading whatever is or will be in
+    /// the folders of the `readable` files, new UDP sockets, threads.
+    pub fn confine(self, readable: &[PathBuf]) -> Sandbox {
+        let user = geteuid();
+        let capabilities = State::of(privileges::keep_none());
+        let (landlock, own_figures) = files::confine(readable);
+        // Last, for the others need system calls that are gone then.
+        let seccomp = State::of(system_calls::confine());
+        let states = [self.memory, self.no_new_privs, capabilities, landlock, seccomp];
+        Sandbox { states, user, _own_figures: Arc::new(own_figures) }
+    }
+}

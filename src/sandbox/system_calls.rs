@@ -1,0 +1,198 @@
+//! seccomp: the system calls that are left.
+//!
+//! The list is what the relay was seen to call, with glibc and with musl: at the start, under
+//! traffic and floods, while it is watched, and at its end; with what the C libraries call instead on
+//! other kernels. What is not on it fails with EPERM and is the caller's to report: a new C library
+//! that tries something new must not stop a plant. What no relay ever calls, but an intruder
+//! does, ends the process at once, and the kernel's log says so.
+
+use std::collections::BTreeMap;
+use std::env;
+use std::process;
+
+use seccompiler::{
+    BackendError, BpfProgram, SeccompAction, SeccompCmpArgLen, SeccompCmpOp, SeccompCondition,
+    SeccompFilter, SeccompRule,
+};
+
+/// Allowed whatever their arguments.
+const ALLOWED: &[libc::c_long] = &[
+    // Datagrams and connections
+    libc::SYS_accept4,
+    libc::SYS_bind,
+    libc::SYS_getsockname,
+    libc::SYS_getsockopt,
+    libc::SYS_recvfrom,
+    libc::SYS_recvmmsg,
+    libc::SYS_recvmsg,
+    libc::SYS_sendmmsg,
+    libc::SYS_sendmsg,
+    libc::SYS_sendto,
+    libc::SYS_setsockopt,
+    libc::SYS_shutdown,
+    // Waiting
+    libc::SYS_clock_nanosleep,
+    libc::SYS_epoll_create1,
+    libc::SYS_epoll_ctl,
+    libc::SYS_epoll_pwait,
+    libc::SYS_eventfd2,
+    libc::SYS_futex,
+    libc::SYS_restart_syscall,
+    libc::SYS_sched_yield,
+    // Reading what may be read, writing what is open
+    libc::SYS_close,
+    libc::SYS_fcntl,
+    libc::SYS_fstat,
+    libc::SYS_getdents64,
+    libc::SYS_lseek,
+    libc::SYS_newfstatat,
+    libc::SYS_read,
+    libc::SYS_readlinkat,
+    libc::SYS_readv,
+    libc::SYS_statx,
+    libc::SYS_write,
+    libc::SYS_writev,
+    // Memory
+    libc::SYS_brk,
+    libc::SYS_madvise,
+    libc::SYS_mremap,
+    libc::SYS_munmap,
+    // Threads, signals, time, the end
+    libc::SYS_clock_gettime,
+    libc::SYS_exit,
+    libc::SYS_exit_group,
+    libc::SYS_getpid,
+    libc::SYS_getrandom,
+    libc::SYS_gettid,
+    libc::SYS_rseq,
+    libc::SYS_rt_sigaction,
+    libc::SYS_rt_sigprocmask,
+    libc::SYS_rt_sigreturn,
+    libc::SYS_sched_getaffinity,
+    libc::SYS_set_robust_list,
+    libc::SYS_sigaltstack,
+    // Fails with ENOSYS by another filter, so that the C library takes `clone`
+    libc::SYS_clone3,
+];
+
+/// Older forms of the above, which other processors do not have.
+#[cfg(target_arch = "x86_64")]
+const ALLOWED_OLD: &[libc::c_long] =
+    &[libc::SYS_epoll_wait, libc::SYS_lstat, libc::SYS_readlink, libc::SYS_stat];
+#[cfg(not(target_arch = "x86_64"))]
+const ALLOWED_OLD: &[libc::c_long] = &[];
+
+/// What ends the process.
+const DEADLY: &[libc::c_long] = &[
+    libc::SYS_bpf,
+    libc::SYS_execve,
+    libc::SYS_execveat,
+    libc::SYS_finit_module,
+    libc::SYS_init_module,
+    libc::SYS_mount,
+    libc::SYS_perf_event_open,
+    libc::SYS_process_vm_readv,
+    libc::SYS_process_vm_writev,
+    libc::SYS_ptrace,
+    libc::SYS_setns,
+    libc::SYS_unshare,
+    libc::SYS_userfaultfd,
+];
+
+/// Why there is no filter.
+#[derive(Debug, thiserror::Error)]
+pub(super) enum Error {
+    #[error("not for this processor")]
+    Processor,
+    #[error(transparent)]
+    Filter(#[from] BackendError),
+    #[error(transparent)]
+    Install(#[from] seccompiler::Error),
+}
+
+/// Installs the filters, for every thread of the process.
+pub(super) fn confine() -> Result<(), Error> {
+    // The strictest verdict counts. The list is last, for it takes away what installs a filter.
+    let refuse = |errno: libc::c_int| SeccompAction::Errno(errno as u32);
+    let (allow, kill) = (SeccompAction::Allow, SeccompAction::KillProcess);
+    let filters = [
+        filter(unconditional(&[libc::SYS_clone3]), allow.clone(), refuse(libc::ENOSYS))?,
+        filter(unconditional(DEADLY), allow.clone(), kill)?,
+        filter(allowed()?, refuse(libc::EPERM), allow)?,
+    ];
+    for filter in &filters {
+        seccompiler::apply_filter_all_threads(filter)?;
+    }
+    Ok(())
+}
+
+type Rules = BTreeMap<i64, Vec<SeccompRule>>;
+
+fn filter(rules: Rules, others: SeccompAction, these: SeccompAction) -> Result<BpfProgram, Error> {
+    let processor = env::consts::ARCH.try_into().map_err(|_| Error::Processor)?;
+    Ok(SeccompFilter::new(rules, others, these, processor)?.try_into()?)
+}
+
+fn unconditional(calls: &[libc::c_long]) -> Rules {
+    calls.iter().map(|&call| (call, Vec::new())).collect()
+}
+
+fn allowed() -> Result<Rules, Error> {
+    let mut rules = unconditional(ALLOWED);
+    rules.extend(unconditional(ALLOWED_OLD));
+
+    // To read, and nothing else.
+    let writing = libc::O_ACCMODE | libc::O_CREAT | libc::O_TRUNC;
+    rules.insert(libc::SYS_openat, vec![rule(&[none_of(2, writing)?])?]);
+    #[cfg(target_arch = "x86_64")]
+    rules.insert(libc::SYS_open, vec![rule(&[none_of(1, writing)?])?]);
+
+    // No memory that holds new code.
+    let no_code = none_of(2, libc::PROT_EXEC)?;
+    rules.insert(libc::SYS_mmap, vec![rule(std::slice::from_ref(&no_code))?]);
+    rules.insert(libc::SYS_mprotect, vec![rule(&[no_code])?]);
+
+    // Threads, no processes.
+    let thread = libc::CLONE_THREAD;
+    rules.insert(libc::SYS_clone, vec![rule(&[masked(0, thread, thread)?])?]);
+    rules.insert(libc::SYS_prctl, vec![rule(&[is(0, libc::PR_SET_NAME)?])?]);
+
+    // UDP; datagrams to the service manager; the pair that carries signals to the main thread.
+    let kind = libc::SOCK_STREAM | libc::SOCK_DGRAM | libc::SOCK_RAW | libc::SOCK_SEQPACKET;
+    let datagrams = |family| rule(&[is(0, family)?, masked(1, kind, libc::SOCK_DGRAM)?]);
+    let families = [libc::AF_INET, libc::AF_INET6, libc::AF_UNIX];
+    let sockets = families.into_iter().map(datagrams).collect::<Result<_, _>>()?;
+    rules.insert(libc::SYS_socket, sockets);
+    rules.insert(libc::SYS_socketpair, vec![rule(&[is(0, libc::AF_UNIX)?])?]);
+    rules.insert(libc::SYS_ioctl, vec![rule(&[is(1, libc::FIONBIO as libc::c_int)?])?]);
+
+    // Its own limits; its own end, after a panic.
+    rules.insert(libc::SYS_prlimit64, vec![rule(&[is(0, 0)?])?]);
+    let own = is(0, process::id() as libc::c_int)?;
+    rules.insert(libc::SYS_tgkill, vec![rule(&[own, is(2, libc::SIGABRT)?])?]);
+    rules.insert(libc::SYS_tkill, vec![rule(&[is(1, libc::SIGABRT)?])?]);
+    Ok(rules)
+}
+
+/// All of these conditions.
+fn rule(conditions: &[SeccompCondition]) -> Result<SeccompRule, BackendError> {
+    SeccompRule::new(conditions.to_vec())
+}
+
+fn is(argument: u8, value: libc::c_int) -> Result<SeccompCondition, BackendError> {
+    let value = u64::from(value as u32);
+    SeccompCondition::new(argument, SeccompCmpArgLen::Dword, SeccompCmpOp::Eq, value)
+}
+
+fn masked(
+    argument: u8,
+    mask: libc::c_int,
+    value: libc::c_int,
+) -> Result<SeccompCondition, BackendError> {
+    let (mask, value) = (u64::from(mask as u32), u64::from(value as u32));
+    SeccompCondition::new(argument, SeccompCmpArgLen::Dword, SeccompCmpOp::MaskedEq(mask), value)
+}
+
+fn none_of(argument: u8, flags: libc::c_int) -> Result<SeccompCondition, BackendError> {
+    masked(argument, flags, 0)
+}

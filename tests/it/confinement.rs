@@ -1,0 +1,204 @@
+//! What a running relay has given up, thread by thread, and that it does its work all the same.
+//! `tests/violations.rs` shows that what is given up is gone.
+
+use std::fs;
+use std::os::unix::fs::{MetadataExt, PermissionsExt, chown};
+use std::os::unix::process::ExitStatusExt;
+use std::process::Command;
+
+use nix::sys::signal::Signal;
+use nix::unistd::geteuid;
+use serde_json::{Value, json};
+
+use crate::harness::{
+    Process, Relay, Settings, Site, eventually, exchange, folder, left_out, pnet_nat,
+};
+
+/// A line of each thread's status in /proc, with the thread's name.
+fn of_each_thread(process: &Process, line: &str) -> Vec<(String, String)> {
+    let threads = fs::read_dir(format!("/proc/{}/task", process.id())).unwrap();
+    let status =
+        threads.map(|thread| fs::read_to_string(thread.unwrap().path().join("status")).unwrap());
+    let field = |status: &str, name: &str| {
+        let line = status.lines().find_map(|line| line.strip_prefix(&format!("{name}:")));
+        line.unwrap().trim().to_owned()
+    };
+    status.map(|status| (field(&status, "Name"), field(&status, line))).collect()
+}
+
+fn states(relay: &Relay) -> Value {
+    let (status, body) = relay.get("/api/v1/status").unwrap();
+    assert_eq!(status, 200);
+    let status: Value = serde_json::from_str(&body).unwrap();
+    let layers = status["sandbox"].as_array().unwrap().iter();
+    layers
+        .map(|layer| (layer["layer"].as_str().unwrap().to_owned(), layer["state"].clone()))
+        .collect()
+}
+
+#[test]
+fn every_thread_is_confined_and_every_exchange_works() {
+    let site = Site::claim();
+    let relay = site.relay(Settings { runtime: "workers = 2", ..Settings::default() });
+    let (client, node) = (site.client(), site.node(4));
+    exchange(&client, site.public(4), &node, 4);
+    // The threads that list flows are started when somebody asks.
+    assert_eq!(relay.get("/api/v1/flows").unwrap().0, 200);
+
+    let names: Vec<_> = of_each_thread(&relay.process, "Pid").into_iter().map(|t| t.0).collect();
+    assert!(names.iter().filter(|name| name.starts_with("worker-")).count() == 2, "{names:?}");
+    assert!(names.len() >= 4, "main thread, log and workers at least: {names:?}");
+    let sets = ["CapInh", "CapPrm", "CapEff", "CapAmb"].into_iter();
+    // Who is not root cannot shrink this one, and gains nothing by it.
+    for set in sets.chain(geteuid().is_root().then_some("CapBnd")) {
+        for (thread, left) in of_each_thread(&relay.process, set) {
+            assert_eq!(left.trim_start_matches('0'), "", "{set} of {thread}");
+        }
+    }
+    for (thread, set) in of_each_thread(&relay.process, "NoNewPrivs") {
+        assert_eq!(set, "1", "{thread}");
+    }
+    for (thread, mode) in of_each_thread(&relay.process, "Seccomp") {
+        assert_eq!(mode, "2", "{thread} has no filter");
+    }
+
+    let states = states(&relay);
+    let line = relay.process.logged("confined").pop();
+    for layer in ["memory", "no_new_privs", "capabilities", "seccomp"] {
+        assert_eq!(states[layer], "on", "{states}");
+    }
+    if states["landlock"] == "on" {
+        let line = line.expect("a line in the log");
+        for (layer, state) in states.as_object().unwrap() {
+            assert_eq!(&line[layer], state, "{line}");
+        }
+    } else {
+        left_out("Landlock in the kernel");
+        assert_eq!(relay.process.logged("confined in part").len(), 1);
+    }
+    let metrics = relay.metrics();
+    for (layer, state) in states.as_object().unwrap() {
+        let on = metrics.sum("pnet_nat_sandbox_layer", &[("layer", layer)]);
+        assert_eq!(on == 1, state == "on", "{layer}");
+    }
+    assert!(metrics.sum("process_open_fds", &[]) > 5, "it can still count what is its own");
+    assert!(metrics.sum("process_threads", &[]) >= 4);
+    relay.finish();
+}
+
+/// The kernel writes a core of a relay that keeps its privileges, and none of one that does not.
+#[test]
+fn no_core_is_dumped() {
+    let site = Site::claim();
+    let dumps_core = |option: &[&str]| {
+        let folder = folder(&site.configuration(&Settings::default()));
+        let config = folder.path().join("pnet-nat.toml");
+        let relay = pnet_nat(&[&["run", "--config", config.to_str().unwrap()], option].concat());
+        let mut command = Command::new("sh");
+        command.args(["-c", "ulimit -c unlimited && exec \"$0\" \"$@\""]);
+        command.arg(relay.get_program()).args(relay.get_args()).current_dir(folder.path());
+        let mut process = Process::start(command);
+        eventually("it relays", || process.logged("relaying").pop());
+        process.signal(Signal::SIGQUIT);
+        let status = process.status();
+        assert_eq!(status.signal(), Some(Signal::SIGQUIT as i32));
+        status.core_dumped()
+    };
+    assert!(!dumps_core(&[]));
+    if !dumps_core(&["--no-sandbox"]) {
+        left_out("core dumps on this machine");
+    }
+}
+
+#[test]
+fn on_request_nothing_is_given_up() {
+    let site = Site::claim();
+    let folder = folder(&site.configuration(&Settings::default()));
+    let config = folder.path().join("pnet-nat.toml");
+    let command = pnet_nat(&["run", "--no-sandbox", "--config", config.to_str().unwrap()]);
+    let process = Process::start(command);
+    let line = eventually("it says so", || process.logged("not confined").pop());
+    assert_eq!((&line["level"], &line["seccomp"]), (&json!("WARN"), &json!("off")));
+    eventually("it relays", || process.logged("relaying").pop());
+    for (thread, mode) in of_each_thread(&process, "Seccomp") {
+        assert_eq!(mode, of_this_process("Seccomp"), "{thread}");
+    }
+    for (thread, left) in of_each_thread(&process, "CapEff") {
+        assert_eq!(left, of_this_process("CapEff"), "{thread}");
+    }
+}
+
+fn of_this_process(line: &str) -> String {
+    let status = fs::read_to_string("/proc/self/status").unwrap();
+    let line = status.lines().find_map(|found| found.strip_prefix(&format!("{line}:")));
+    line.unwrap().trim().to_owned()
+}
+
+/// Root without its capabilities is told at the start what it would be told at a reload.
+#[test]
+fn a_password_of_somebody_elses_is_refused_from_the_start() {
+    if !geteuid().is_root() {
+        return left_out("root, to give a file away");
+    }
+    let site = Site::claim();
+    let folder = folder(&site.configuration(&Settings::default()));
+    let password = folder.path().join("secrets/section-1");
+    chown(&password, Some(65534), Some(65534)).unwrap();
+    let config = folder.path().join("pnet-nat.toml");
+    let mut process = Process::start(pnet_nat(&["run", "--config", config.to_str().unwrap()]));
+    assert_eq!(process.end(), Some(2));
+    assert!(process.stderr().contains("let the user that runs pnet-nat own it"));
+}
+
+/// Ports below 1024 take the one capability that is kept until the sockets are bound.
+#[test]
+fn low_ports_are_bound_before_the_capability_goes() {
+    if !geteuid().is_root() {
+        return left_out("root, for ports below 1024");
+    }
+    let site = Site::claim();
+    let configuration = site.configuration(&Settings::default());
+    let start_port = format!("start_port = {}", site.start_port());
+    let low = configuration.replace(&start_port, "start_port = 600");
+    assert_ne!(low, configuration);
+    let relay = Relay::start(&low, site.admin(), None);
+    let (client, node) = (site.client(), site.node(4));
+    exchange(&client, (site.public_address(), 604).into(), &node, 4);
+    relay.finish();
+}
+
+/// As a service manager or a container starts it: a user of its own, no capability.
+#[test]
+fn a_user_without_any_privilege_is_confined_as_well() {
+    if !geteuid().is_root() || Command::new("setpriv").arg("--version").output().is_err() {
+        return left_out("root and setpriv, to become somebody else");
+    }
+    let site = Site::claim();
+    let folder = folder(&site.configuration(&Settings::default()));
+    let own = |path: &std::path::Path| {
+        chown(path, Some(65534), Some(65534)).unwrap();
+    };
+    for path in ["", "pnet-nat.toml", "secrets", "secrets/section-1"] {
+        own(&folder.path().join(path));
+    }
+    // Whoever it is can run the copy, and not the original.
+    let program = folder.path().join("pnet-nat");
+    fs::copy(env!("CARGO_BIN_EXE_pnet-nat"), &program).unwrap();
+    fs::set_permissions(&program, fs::Permissions::from_mode(0o755)).unwrap();
+    let mut command = Command::new("setpriv");
+    command.args(["--reuid=65534", "--regid=65534", "--clear-groups"]).arg(&program);
+    command.args(["run", "--config"]).arg(folder.path().join("pnet-nat.toml"));
+    let process = Process::start(command);
+    let own_memory = format!("/proc/{}/mem", process.id());
+    let line = eventually("it is confined", || {
+        process.logged("confined").pop().or_else(|| process.logged("confined in part").pop())
+    });
+    eventually("it relays", || process.logged("relaying").pop());
+    assert_eq!(line["user"], 65534);
+    assert_eq!(fs::metadata(own_memory).unwrap().uid(), 0, "the memory is not its user's");
+    for layer in ["memory", "no_new_privs", "capabilities", "seccomp"] {
+        assert_eq!(line[layer], "on", "{line}");
+    }
+    let (client, node) = (site.client(), site.node(4));
+    exchange(&client, site.public(4), &node, 4);
+}
