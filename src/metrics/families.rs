@@ -215,13 +215,16 @@ fn last_responses(sums: &NetSums<'_>) -> Vec<Metric> {
     })
 }
 
+/// The family of [`sandbox_layers`].
+pub(super) const SANDBOX_LAYER: &str = "pnet_nat_sandbox_layer";
+
 /// How the process is confined.
 pub(super) fn sandbox_layers(sandbox: &Sandbox) -> MetricFamily {
     let sample = |(layer, state): (Layer, &State)| {
         gauge(&[("layer", layer.label())], f64::from(*state == State::On))
     };
     metric_family(
-        "pnet_nat_sandbox_layer",
+        SANDBOX_LAYER,
         "Whether this layer of confinement is in force as a whole.",
         MetricType::GAUGE,
         sandbox.layers().map(sample).collect(),

@@ -116,7 +116,7 @@ impl Sandbox {
         let whys: Vec<_> = whys.map(|(layer, why)| format!("{layer}: {why}")).collect();
         let why = if whys.is_empty() { None } else { Some(display(whys.join("; "))) };
         let user = self.user.as_raw();
-        macro_rules! line {
+        macro_rules! say {
             ($level:ident, $message:literal) => {
                 tracing::$level!(
                     user,
@@ -131,11 +131,11 @@ impl Sandbox {
             };
         }
         if self.states.iter().all(|state| *state == State::Off) {
-            line!(warn, "not confined");
+            say!(warn, "not confined");
         } else if self.states.iter().all(|state| *state == State::On) {
-            line!(info, "confined");
+            say!(info, "confined");
         } else {
-            line!(warn, "confined in part");
+            say!(warn, "confined in part");
         }
     }
 }

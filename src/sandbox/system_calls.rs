@@ -141,8 +141,8 @@ fn allowed() -> Result<Rules, Error> {
     let mut rules = unconditional(ALLOWED);
     rules.extend(unconditional(ALLOWED_OLD));
 
-    // To read, and nothing else.
-    let writing = libc::O_ACCMODE | libc::O_CREAT | libc::O_TRUNC;
+    // To read, and nothing else. Not by O_ACCMODE, in which musl has O_PATH.
+    let writing = libc::O_WRONLY | libc::O_RDWR | libc::O_CREAT | libc::O_TRUNC;
     rules.insert(libc::SYS_openat, vec![rule(&[none_of(2, writing)?])?]);
     #[cfg(target_arch = "x86_64")]
     rules.insert(libc::SYS_open, vec![rule(&[none_of(1, writing)?])?]);
