@@ -1,7 +1,7 @@
 //! The log: events to stderr, and the report that stands for noise.
 //!
 //! A datagram never makes a line of its own. What strangers send is counted, and [`Noise`] says
-//! once a window how much it was; a stderr that nobody reads loses lines and holds up nothing.
+//! once a window how much it was, and how much the audit log left out; a stderr that nobody reads loses lines and holds up nothing.
 
 use std::io::{self, IsTerminal};
 use std::sync::{Arc, OnceLock};
@@ -79,7 +79,8 @@ fn no_color() -> bool {
     std::env::var_os("NO_COLOR").is_some_and(|value| !value.is_empty())
 }
 
-/// Reports dropped datagrams: a line for each net and reason in each window that had some.
+/// Reports dropped datagrams: a line for each net and reason in each window that had some. Its
+/// windows are those of the audit log too.
 #[derive(Debug)]
 pub struct Noise {
     router: Arc<Router>,
@@ -118,6 +119,8 @@ impl Noise {
     /// Ends the window: writes its lines.
     fn report(&mut self, window: Duration) {
         self.window_began = Instant::now();
+        let lines = self.router.config().runtime.audit_lines;
+        self.router.audit().end_window(lines, window);
         for net in self.router.config().table.net_ids() {
             let dropped = dropped(&self.router, net);
             let reported = std::mem::replace(&mut self.reported[usize::from(net.0)], dropped);

@@ -12,8 +12,9 @@ mod rig;
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 use std::net::SocketAddr;
+use std::time::Duration;
 
-use pnet_nat::relay::{Arrival, DropReason};
+use pnet_nat::relay::{Arrival, DropReason, RequestRate};
 
 use rig::{
     DEVICE_PASSWORD, Flow, PASSWORD, REST, Rig, Site, arrival, client_endpoint, datagram, garbage,
@@ -176,8 +177,51 @@ fn a_dropped_request_costs_no_allocation() {
     });
     seen.push(exhausted);
 
+    let mut rig = Rig::new(&Site { max_requests: Some(RequestRate::new(1)), ..Site::default() });
+    let limit = DropReason::RequestLimit;
+    rig.open(0, 16);
+    without_allocating(|| {
+        (0..TIMES).for_each(|_| expect_drop(&mut rig, &arrival, &octets, limit));
+    });
+    seen.push(limit);
+
     let left_out = DropReason::REQUEST.iter().filter(|reason| !seen.contains(reason));
     assert!(left_out.eq([&DropReason::SendFailed]), "the core does not send");
+}
+
+/// Whoever guesses, and however many they are: the memory for them is there from the start.
+#[test]
+fn a_million_guessers_cost_no_allocation() {
+    let mut rig = Rig::new(&Site::default());
+    let wrong: [u8; 38] = datagram(&ROUTE, &[7; 16], b"guessed!").try_into().unwrap();
+    let throttled = arrival(client_endpoint(1_000_000), 1);
+    without_allocating(|| {
+        for number in 0..1_000_000 {
+            rig.now += Duration::from_micros(100);
+            for arrival in [arrival(client_endpoint(number), 1), throttled] {
+                let verdict = rig.core.request(rig.now, &arrival, &mut { wrong }, &mut rig.shell);
+                assert!(verdict.is_err());
+            }
+            if number % 10_000 == 0 {
+                rig.core.expire(rig.now, &mut rig.shell);
+            }
+        }
+    });
+    assert!(!rig.core.is_idle(), "the throttled one is remembered");
+}
+
+/// Requests within their limits, of which account is kept.
+#[test]
+fn limited_requests_cost_no_allocation() {
+    let max_requests = Some(RequestRate::new(RequestRate::MOST));
+    let mut rig = Rig::new(&Site { max_requests, ..Site::default() });
+    let flow = rig.open(0, 16);
+    let (asked, answer) = (request(1), response(1, PASSWORD));
+    without_allocating(|| {
+        for _ in 0..TIMES {
+            exchange(&mut rig, &flow, &mut { asked }, &mut { answer });
+        }
+    });
 }
 
 #[test]

@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 use fastrand::Rng;
 use pnet_nat::relay::{
     Arrival, CloseReason, Core, Counters, Credential, FlowRecord, Limits, ListenerId, Mapping,
-    MappingId, Net, NetId, NetKind, Rules, Shell, Table, ToServer, UpstreamId,
+    MappingId, Net, NetId, NetKind, RequestRate, Rules, Shell, Table, ToServer, UpstreamId,
 };
 use pnet_nat::wire::{Header, Password};
 
@@ -37,6 +37,8 @@ pub(crate) struct Site {
     pub(crate) nodes: u8,
     /// Flows that may be open at once.
     pub(crate) max_flows: u32,
+    /// Requests that the net, and each flow, may have.
+    pub(crate) max_requests: Option<RequestRate>,
     /// Upstream sockets that may be open at once.
     pub(crate) sockets: usize,
     /// The nodes expect another password than the clients send.
@@ -45,7 +47,13 @@ pub(crate) struct Site {
 
 impl Default for Site {
     fn default() -> Self {
-        Self { nodes: 16, max_flows: 1_000_000, sockets: 100_000, device_password: false }
+        Self {
+            nodes: 16,
+            max_flows: 1_000_000,
+            max_requests: None,
+            sockets: 100_000,
+            device_password: false,
+        }
     }
 }
 
@@ -94,6 +102,8 @@ impl Rig {
             require_response_password: true,
             idle_timeout: IDLE_TIMEOUT,
             max_flows: site.max_flows,
+            max_requests: site.max_requests,
+            max_flow_requests: site.max_requests,
         };
         let mapping = |node_address| Mapping {
             net: NetId(0),

@@ -21,7 +21,8 @@ use crate::config::Config;
 use crate::metrics::totals::{DirectionTotals, NetTotals, NodeTotals};
 use crate::net::Router;
 use crate::relay::{
-    CloseReason, Credential, Direction, FlowRecord, Mapping, MappingId, Net, NetId, NetKind, Table,
+    CloseReason, Credential, Direction, FlowRecord, Mapping, MappingId, Net, NetId, NetKind,
+    RequestRate, Table,
 };
 use crate::sandbox::{self, Layer};
 
@@ -135,6 +136,10 @@ struct NetRules<'a> {
     require_response_password: bool,
     idle_timeout_seconds: f64,
     max_flows: u32,
+    /// Null: any number.
+    max_requests_per_second: Option<u32>,
+    /// Null: any number.
+    max_flow_requests_per_second: Option<u32>,
 }
 
 impl<'a> NetRules<'a> {
@@ -153,6 +158,8 @@ impl<'a> NetRules<'a> {
             require_response_password: net.require_response_password,
             idle_timeout_seconds: net.idle_timeout.as_secs_f64(),
             max_flows: net.max_flows,
+            max_requests_per_second: net.max_requests.map(RequestRate::per_second),
+            max_flow_requests_per_second: net.max_flow_requests.map(RequestRate::per_second),
         }
     }
 }
@@ -319,6 +326,7 @@ struct ConfigInForce<'a> {
     max_flows: u32,
     wrong_password_burst: u16,
     wrong_password_interval_seconds: f64,
+    audit_lines: u32,
     /// Null: one for each two cores.
     workers: Option<usize>,
     receive_buffer_bytes: usize,
@@ -351,6 +359,7 @@ impl<'a> ConfigInForce<'a> {
             max_flows: limits.max_flows,
             wrong_password_burst: limits.wrong_password_burst,
             wrong_password_interval_seconds: limits.wrong_password_interval.as_secs_f64(),
+            audit_lines: runtime.audit_lines,
             workers: runtime.workers.map(usize::from),
             receive_buffer_bytes: runtime.receive_buffer,
             drain_seconds: runtime.drain.as_secs_f64(),

@@ -179,6 +179,7 @@ fn nets_show_what_was_counted() {
             ],
             "allow_without_password": false, "require_response_password": false,
             "idle_timeout_seconds": 300.0, "max_flows": 4096,
+            "max_requests_per_second": null, "max_flow_requests_per_second": null,
             "flows": 6, "flows_opened": 6, "flows_closed": {
                 "idle": 0, "mapping_removed": 0, "source_withdrawn": 0, "password_withdrawn": 0,
                 "shutdown": 0,

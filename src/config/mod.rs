@@ -4,6 +4,7 @@
 //! one run, each with its line, its key and what to do. `config/pnet-nat.toml` describes the keys.
 
 mod fault;
+mod guessable;
 mod model;
 mod net;
 mod node_range;
@@ -134,10 +135,12 @@ fn limits(mut section: Section<'_>, runtime: &mut Runtime) -> Limits {
     let max_flows = section.key("max_flows", "65536");
     let burst = section.key("wrong_password_burst", "10");
     let interval = section.key("wrong_password_interval", "\"6s\"");
+    let audit_lines = section.key("audit_lines", "500");
     let prefilter = section.key("prefilter", "\"auto\"");
     let busy_poll = section.key("busy_poll", "\"50us\"");
     section.finish();
     let interval = interval.duration(Duration::from_millis(1)..=LONGEST);
+    runtime.audit_lines = audit_lines.integer(1..=u32::MAX).unwrap_or(runtime.audit_lines);
     runtime.prefilter = prefilter.parse().unwrap_or(runtime.prefilter);
     let busy_poll = busy_poll.duration(Duration::ZERO..=MOST_BUSY_POLL);
     runtime.busy_poll = busy_poll.unwrap_or(runtime.busy_poll);

@@ -39,6 +39,8 @@ pub struct Runtime {
     pub receive_buffer: usize,
     /// How long a stopping router waits for answers that are still due.
     pub drain: Duration,
+    /// Lines that each kind of audit event may write in a window of the log.
+    pub audit_lines: u32,
     /// When the kernel refuses on the public sockets what cannot pass.
     pub prefilter: Prefilter,
     /// How long a worker looks for the next datagram before it sleeps; zero: not at all.
@@ -80,6 +82,7 @@ impl Default for Runtime {
             workers: None,
             receive_buffer: 1 << 20,
             drain: Duration::from_secs(5),
+            audit_lines: 500,
             prefilter: Prefilter::Auto,
             busy_poll: Duration::ZERO,
         }

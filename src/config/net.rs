@@ -9,9 +9,10 @@ use std::time::Duration;
 
 use ipnet::IpNet;
 
-use crate::relay::{Credential, Net, NetKind};
+use crate::relay::{Credential, Net, NetKind, RequestRate};
 
 use super::fault::Place;
+use super::guessable;
 use super::node_range::{LAST_NODE, NodeRange};
 use super::secret::password_file;
 use super::section::{Entry, LONGEST, Section};
@@ -128,6 +129,8 @@ fn rules(section: &mut Section<'_>, name: &Entry<'_>, kind: NetKind) -> Net {
     let allow = section.key("allow", "[\"198.51.100.0/24\"]").required();
     let idle_timeout = section.key("idle_timeout", "\"5m\"");
     let max_flows = section.key("max_flows", "4096");
+    let max_requests = section.key("max_requests_per_second", "200");
+    let max_flow_requests = section.key("max_flow_requests_per_second", "20");
     let require_response_password = section.key("require_response_password", "false");
     let without_password = section.key("allow_without_password", "false");
     let allow_without_password = without_password.boolean().unwrap_or(false);
@@ -147,7 +150,13 @@ fn rules(section: &mut Section<'_>, name: &Entry<'_>, kind: NetKind) -> Net {
         require_response_password: require_response_password.boolean().unwrap_or(false),
         idle_timeout: self::idle_timeout(&idle_timeout),
         max_flows: max_flows.integer(1..=MOST_FLOWS).unwrap_or(4096),
+        max_requests: request_rate(&max_requests),
+        max_flow_requests: request_rate(&max_flow_requests),
     }
+}
+
+fn request_rate(entry: &Entry<'_>) -> Option<RequestRate> {
+    entry.integer(1..=RequestRate::MOST).map(RequestRate::new)
 }
 
 fn start_port(entry: &Entry<'_>) -> Option<u16> {
@@ -328,6 +337,12 @@ fn credentials(entry: &Entry<'_>, allow_without_password: bool) -> Vec<Credentia
         }
         let device_password = password_file(&device_file);
         let Some(password) = password_file(&file) else { continue };
+        if let Some(weakness) = guessable::weakness(&password) {
+            file.warn(
+                format!("a password that is easily guessed: {weakness}"),
+                "choose a random one: `head -c 6 /dev/urandom | base64` makes 8 octets and a line break",
+            );
+        }
         let same = |other: &&Credential| bool::from(other.password.matches(password.octets()));
         if let Some(other) = credentials.iter().find(same) {
             file.fault(

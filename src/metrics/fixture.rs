@@ -72,6 +72,8 @@ fn net(name: &str, kind: NetKind) -> Net {
         require_response_password: false,
         idle_timeout: Duration::from_secs(300),
         max_flows: 4096,
+        max_requests: None,
+        max_flow_requests: None,
     }
 }
 

@@ -3,6 +3,7 @@
 
 #[allow(unsafe_code)]
 mod address;
+mod audit;
 #[allow(unsafe_code)]
 mod batch;
 mod busy;

@@ -59,6 +59,7 @@ pub(super) fn spares(reason: DropReason) -> bool {
         | DropReason::SourceNotAllowed
         | DropReason::Broadcast
         | DropReason::NodeMismatch
+        | DropReason::RequestLimit
         | DropReason::FlowLimit
         | DropReason::UpstreamExhausted
         | DropReason::SendFailed
@@ -194,6 +195,8 @@ mod tests {
             require_response_password: false,
             idle_timeout: Duration::from_secs(300),
             max_flows: 10,
+            max_requests: None,
+            max_flow_requests: None,
         }
     }
 

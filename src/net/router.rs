@@ -16,6 +16,7 @@ use nix::sys::eventfd::{EfdFlags, EventFd};
 use crate::config::{Config, Prefilter};
 use crate::relay::{Core, Counters, FlowRecord, NetId, Rules};
 
+use super::audit::Audit;
 use super::descriptors::{self, Plan, TooFewDescriptors};
 use super::public::{KernelDrops, PublicSocket};
 use super::socket;
@@ -29,6 +30,7 @@ const ANSWER_TIME: Duration = Duration::from_secs(1);
 pub struct Router {
     config: Config,
     counters: Vec<Arc<Counters>>,
+    audit: Arc<Audit>,
     /// Of every worker, to ask the kernel about.
     public: Vec<Arc<[PublicSocket]>>,
     workers: Vec<Handle>,
@@ -108,8 +110,10 @@ impl Router {
         let public = bind(&config, plan.workers)?;
 
         let rules = Rules::new(Arc::clone(&config.table), config.limits);
+        let audit = Arc::new(Audit::new(config.runtime.audit_lines));
         let mut router = Self {
             config,
+            audit,
             counters: Vec::new(),
             public,
             workers: Vec::new(),
@@ -127,8 +131,10 @@ impl Router {
     #[cfg(test)]
     pub(crate) fn idle(config: Config, workers: usize) -> Arc<Self> {
         let counters = (0..workers).map(|_| Arc::new(Counters::new(&config.table))).collect();
+        let audit = Arc::new(Audit::new(config.runtime.audit_lines));
         Arc::new(Self {
             config,
+            audit,
             counters,
             public: Vec::new(),
             workers: Vec::new(),
@@ -158,6 +164,11 @@ impl Router {
     /// The counters of each worker; a figure of the router is their sum.
     pub fn counters(&self) -> &[Arc<Counters>] {
         &self.counters
+    }
+
+    /// What bounds the audit log.
+    pub(crate) fn audit(&self) -> &Audit {
+        &self.audit
     }
 
     /// Whether every socket is bound and no shutdown has begun.
@@ -205,6 +216,7 @@ impl Router {
             core,
             public: Arc::clone(&self.public[index]),
             table: Arc::clone(&self.config.table),
+            audit: Arc::clone(&self.audit),
             upstream_limit: plan.upstreams,
             runtime: self.config.runtime.clone(),
             started: self.started,

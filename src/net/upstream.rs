@@ -1,4 +1,4 @@
-//! The upstream sockets of a worker and the log of its flows: what the core asks of its
+//! The upstream sockets of a worker, and the way to the audit log: what the core asks of its
 //! surroundings.
 //!
 //! Which flow uses which socket is the core's affair; here they are opened, watched and closed.
@@ -10,8 +10,9 @@ use std::sync::Arc;
 use nix::sys::epoll::Epoll;
 use socket2::Socket;
 
-use crate::relay::{CloseReason, FlowRecord, Shell, Table, UpstreamId};
+use crate::relay::{CloseReason, FlowRecord, MappingId, Shell, Table, Throttled, UpstreamId};
 
+use super::audit::Audit;
 use super::complaints::Complaints;
 use super::place::Place;
 use super::socket;
@@ -25,6 +26,7 @@ pub(super) struct UpstreamSockets {
     limit: usize,
     receive_buffer: usize,
     table: Arc<Table>,
+    audit: Arc<Audit>,
     complaints: Complaints,
 }
 
@@ -35,9 +37,19 @@ impl UpstreamSockets {
         limit: usize,
         receive_buffer: usize,
         table: Arc<Table>,
+        audit: Arc<Audit>,
     ) -> Self {
         let complaints = Complaints::default();
-        Self { epoll, sockets: Vec::new(), open: 0, limit, receive_buffer, table, complaints }
+        Self {
+            epoll,
+            sockets: Vec::new(),
+            open: 0,
+            limit,
+            receive_buffer,
+            table,
+            audit,
+            complaints,
+        }
     }
 
     /// The socket with this index, if it is open.
@@ -80,30 +92,18 @@ impl Shell for UpstreamSockets {
     }
 
     fn flow_opened(&mut self, flow: &FlowRecord) {
-        log_flow(&self.table, flow, None);
+        self.audit.flow_opened(&self.table, flow);
     }
 
     fn flow_closed(&mut self, flow: &FlowRecord, reason: CloseReason) {
-        log_flow(&self.table, flow, Some(reason));
+        self.audit.flow_closed(&self.table, flow, reason);
     }
-}
 
-/// N-10: who, by which public port, since when, and by which credential.
-fn log_flow(table: &Table, flow: &FlowRecord, closed: Option<CloseReason>) {
-    let mapping = table.mapping(flow.mapping);
-    let net = table.net(mapping.net);
-    let credential = flow.credential.map(|index| &net.credentials[index].name);
-    tracing::info!(
-        net = %net.name,
-        node = mapping.node_address,
-        client = %flow.client,
-        public_address = %flow.public_address,
-        public_port = mapping.public_port,
-        credential = credential.map(tracing::field::display),
-        upstream_port = flow.upstream_port,
-        reason = closed.map(CloseReason::label),
-        age_seconds = closed.map(|_| flow.age.as_secs()),
-        "flow {}",
-        if closed.is_some() { "closed" } else { "opened" }
-    );
+    fn throttling_begun(&mut self, throttled: &Throttled, mapping: MappingId) {
+        self.audit.throttling_begun(&self.table, throttled, mapping);
+    }
+
+    fn throttling_ended(&mut self, throttled: &Throttled) {
+        self.audit.throttling_ended(throttled);
+    }
 }

@@ -16,6 +16,7 @@ use nix::sys::eventfd::EventFd;
 use crate::config::Runtime;
 use crate::relay::{Arrival, Core, Direction, FlowRecord, ListenerId, Table, UpstreamId};
 
+use super::audit::Audit;
 use super::batch::{AT_ONCE, Batch, Tag};
 use super::busy::BusyPoll;
 use super::complaints::Complaints;
@@ -64,6 +65,7 @@ pub(super) struct Parts {
     pub core: Core,
     pub public: Arc<[PublicSocket]>,
     pub table: Arc<Table>,
+    pub audit: Arc<Audit>,
     pub upstream_limit: usize,
     pub runtime: Runtime,
     pub started: Instant,
@@ -89,6 +91,7 @@ impl Worker {
                 parts.upstream_limit,
                 parts.runtime.receive_buffer,
                 Arc::clone(&parts.table),
+                parts.audit,
             ),
             epoll,
             batch: Batch::new(),

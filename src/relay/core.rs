@@ -156,7 +156,7 @@ impl Core {
     }
 
     /// Closes flows that have been idle for their net's time-out, and sockets that nothing needs
-    /// any more. To be called about once a second.
+    /// any more, and tells whose throttling is over. To be called about once a second.
     pub fn expire(&mut self, now: Instant, shell: &mut impl Shell) {
         let now = self.nanos(now);
         let table = &self.rules.table;
@@ -170,6 +170,7 @@ impl Core {
             self.close(id, CloseReason::Idle, now, shell);
         }
         self.upstreams.expire(now, shell);
+        self.throttle.expire(now, shell);
     }
 
     /// Closes every flow.
@@ -185,9 +186,10 @@ impl Core {
         self.flows.iter().any(|(_, flow)| flow.awaits_answers(now))
     }
 
-    /// Whether no flow is open and no socket waits to be closed, so that nothing will expire.
+    /// Whether no flow is open, no socket waits to be closed and nobody is throttled, so that nothing
+    /// will expire.
     pub fn is_idle(&self) -> bool {
-        self.flows.len() == 0 && self.upstreams.is_empty()
+        self.flows.len() == 0 && self.upstreams.is_empty() && self.throttle.is_quiet()
     }
 
     /// The open flows.
@@ -243,7 +245,7 @@ impl Core {
         if open.is_none() && !net.allows(arrival.client.ip()) {
             return Err(DropReason::SourceNotAllowed);
         }
-        if open.is_none() && !self.throttle.admits(now, arrival.client) {
+        if open.is_none() && !self.throttle.admits(now, arrival.client, arrival.mapping, shell) {
             return Err(DropReason::Throttled);
         }
         let credential = match request.password {
@@ -252,7 +254,7 @@ impl Core {
                 let credential = net.credential(&password);
                 if credential.is_none() {
                     if open.is_none() {
-                        self.throttle.wrong_password(now, arrival.client);
+                        self.throttle.wrong_password(now, arrival.client, shell);
                     }
                     return Err(DropReason::PasswordWrong);
                 }
@@ -261,11 +263,24 @@ impl Core {
         };
         request.is_for(mapping.node_address)?;
 
+        // Only now, so that a stranger uses nothing up; and a flow before its net, so that one that
+        // asks too much uses nothing up of the others'.
+        let paid_until = match net.max_flow_requests {
+            None => 0,
+            Some(rate) => {
+                let paid_until = open.map_or(0, |id| self.flows.get(id).paid_until);
+                rate.take(paid_until, now).ok_or(DropReason::RequestLimit)?
+            }
+        };
+        if !self.rules.budget.take_request(mapping.net, now) {
+            return Err(DropReason::RequestLimit);
+        }
         let id = match open {
             Some(id) => id,
             None => self.open(now, arrival, credential, shell)?,
         };
         let flow = self.flows.get_mut(id);
+        flow.paid_until = paid_until;
         flow.credential = credential;
         if request.confirmed {
             flow.answers.asked(now);
@@ -330,6 +345,7 @@ impl Core {
     ) -> Result<FlowId, DropReason> {
         let mapping = self.rules.table.mapping(arrival.mapping);
         if !self.rules.budget.take(mapping.net) {
+            self.rules.budget.give_request(mapping.net);
             return Err(DropReason::FlowLimit); // N-8
         }
         let owner = Owner {
@@ -340,6 +356,7 @@ impl Core {
         let assigned = self.upstreams.assign(owner, mapping.server, shell);
         let Some((upstream, upstream_port)) = assigned else {
             self.rules.budget.give(mapping.net);
+            self.rules.budget.give_request(mapping.net);
             return Err(DropReason::UpstreamExhausted);
         };
         let flow = Flow {
@@ -351,6 +368,7 @@ impl Core {
             opened: now,
             last_used: now,
             answers: Answers::default(),
+            paid_until: 0,
         };
         shell.flow_opened(&flow.record(now));
         let net = self.counters.net(mapping.net);

@@ -35,6 +35,8 @@ pub(super) struct Flow {
     /// The last datagram of either direction (RFC 4787 REQ-6).
     pub last_used: Nanos,
     pub answers: Answers,
+    /// Until when its requests are paid for, where they are limited.
+    pub paid_until: Nanos,
 }
 
 /// The answers that a flow waits for.

@@ -9,6 +9,7 @@ mod counters;
 mod flow;
 mod flows;
 mod ids;
+mod rate;
 mod reason;
 mod reload;
 mod rules;
@@ -20,9 +21,10 @@ mod simulation;
 mod sketch;
 mod table;
 mod throttle;
+mod throttled;
 mod upstream;
 
-pub use budget::FlowBudget;
+pub use budget::Budget;
 pub use core::{Arrival, Core, ToClient, ToServer};
 pub use counters::{
     Counter, Counters, DirectionCounters, NetCounters, NodeCounters, RESPONSE_BUCKETS,
@@ -30,8 +32,10 @@ pub use counters::{
 };
 pub use flow::FlowRecord;
 pub use ids::{ListenerId, UpstreamId};
+pub use rate::RequestRate;
 pub use reason::{CloseReason, Direction, DropReason};
 pub use rules::Rules;
 pub use shell::Shell;
 pub use sketch::SourceSketch;
 pub use table::{Credential, Limits, Mapping, MappingId, Net, NetId, NetKind, Table};
+pub use throttled::{ThrottleScope, Throttled};

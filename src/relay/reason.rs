@@ -58,6 +58,8 @@ pub enum DropReason {
     NodeMismatch,
     /// The route names a broadcast address (126 or 127) as a destination.
     Broadcast,
+    /// More requests a second than the flow or the net may have.
+    RequestLimit,
     /// A new flow would exceed the net's or the router's limit.
     FlowLimit,
     /// No upstream socket is free for a new flow to this server.
@@ -72,10 +74,10 @@ pub enum DropReason {
 
 impl DropReason {
     /// How many reasons there are.
-    pub const COUNT: usize = 17;
+    pub const COUNT: usize = 18;
 
     /// The reasons of requests, in the order of the checks.
-    pub const REQUEST: [Self; 15] = [
+    pub const REQUEST: [Self; 16] = [
         Self::TooShort,
         Self::TooLong,
         Self::BadHeader,
@@ -88,6 +90,7 @@ impl DropReason {
         Self::PasswordWrong,
         Self::Broadcast,
         Self::NodeMismatch,
+        Self::RequestLimit,
         Self::FlowLimit,
         Self::UpstreamExhausted,
         Self::SendFailed,
@@ -120,6 +123,7 @@ impl DropReason {
             Self::Throttled => "throttled",
             Self::NodeMismatch => "node_mismatch",
             Self::Broadcast => "broadcast",
+            Self::RequestLimit => "request_limit",
             Self::FlowLimit => "flow_limit",
             Self::UpstreamExhausted => "upstream_exhausted",
             Self::SendFailed => "send_failed",
@@ -143,6 +147,7 @@ impl DropReason {
             Self::Throttled => ("throttled request", "throttled requests"),
             Self::NodeMismatch => ("wrong node address", "wrong node addresses"),
             Self::Broadcast => ("broadcast", "broadcasts"),
+            Self::RequestLimit => ("request over the limit", "requests over the limit"),
             Self::FlowLimit => ("flow over the limit", "flows over the limit"),
             Self::UpstreamExhausted => ("flow without a socket", "flows without a socket"),
             Self::SendFailed => ("failed send", "failed sends"),
@@ -186,6 +191,9 @@ impl DropReason {
             }
             Self::Broadcast => {
                 "The route names node address 126 or 127. Broadcasts do not cross a NAT router."
+            }
+            Self::RequestLimit => {
+                "With the right password, but more a second than `max_requests_per_second` or `max_flow_requests_per_second` lets through: a client that polls too fast, or one that is taken over."
             }
             Self::FlowLimit => {
                 "A new client found `max_flows` reached. Those already known are served; raise the limit if it is right."

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use super::budget::FlowBudget;
+use super::budget::Budget;
 use super::table::{Limits, Table};
 
 /// What every worker works from; replaced whole by a new configuration.
@@ -12,14 +12,14 @@ pub struct Rules {
     pub table: Arc<Table>,
     /// Bounds of the router as a whole.
     pub limits: Limits,
-    /// Places for flows, shared by all workers.
-    pub budget: Arc<FlowBudget>,
+    /// Places for flows and requests of nets, shared by all workers.
+    pub budget: Arc<Budget>,
 }
 
 impl Rules {
-    /// Rules with all places for flows free.
+    /// Rules with all places for flows free and all requests untouched.
     pub fn new(table: Arc<Table>, limits: Limits) -> Self {
-        let budget = Arc::new(FlowBudget::new(&table, &limits));
+        let budget = Arc::new(Budget::new(&table, &limits));
         Self { table, limits, budget }
     }
 }

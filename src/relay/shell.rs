@@ -3,9 +3,11 @@
 use super::flow::FlowRecord;
 use super::ids::UpstreamId;
 use super::reason::CloseReason;
+use super::table::MappingId;
+use super::throttled::Throttled;
 
-/// What the core asks of the world around it. Called when flows open and close, not for each
-/// datagram.
+/// What the core asks of the world around it. Called when flows open and close and when throttling
+/// begins and ends, not for each datagram.
 pub trait Shell {
     /// Opens the upstream socket `id` for IPv4 or IPv6 servers and tells its local port; none when
     /// no socket can be had.
@@ -16,4 +18,9 @@ pub trait Shell {
     fn flow_opened(&mut self, flow: &FlowRecord);
     /// A flow was closed (N-10).
     fn flow_closed(&mut self, flow: &FlowRecord, reason: CloseReason);
+    /// A sender, or an address, sent too many wrong passwords: its request to this public port was
+    /// the first to be refused. A stranger brings this about, and one with many addresses often.
+    fn throttling_begun(&mut self, _throttled: &Throttled, _mapping: MappingId) {}
+    /// All wrong passwords of a sender, or of an address, are forgiven, or it was pushed out by others.
+    fn throttling_ended(&mut self, _throttled: &Throttled) {}
 }

@@ -56,6 +56,8 @@ impl World {
             require_response_password: false,
             idle_timeout: IDLE_TIMEOUT,
             max_flows: 1,
+            max_requests: None,
+            max_flow_requests: None,
         };
         let mapping = Mapping {
             net: NetId(0),

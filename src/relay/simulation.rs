@@ -17,6 +17,7 @@ use super::*;
 
 const RUNS: u64 = 40;
 const STEPS: usize = 4_000;
+const SECOND: Duration = Duration::from_secs(1);
 const IDLE_TIMEOUT: Duration = Duration::from_secs(150);
 /// N-9.
 const REST: Duration = Duration::from_secs(120);
@@ -68,6 +69,14 @@ struct Lasting {
     upstream_port: u16,
 }
 
+/// What may have a limit of requests.
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+enum Limited {
+    Net(String),
+    /// Client, public address and public port.
+    Flow(SocketAddr, IpAddr, u16),
+}
+
 /// The sockets as the simulation sees them.
 struct FakeShell {
     rng: Rng,
@@ -75,6 +84,8 @@ struct FakeShell {
     ports: HashMap<UpstreamId, u16>,
     opened_flows: usize,
     closed_flows: usize,
+    /// Throttlings that have begun and not ended.
+    throttled: usize,
 }
 
 impl Shell for FakeShell {
@@ -102,6 +113,16 @@ impl Shell for FakeShell {
     fn flow_closed(&mut self, _: &FlowRecord, _: CloseReason) {
         self.closed_flows += 1;
     }
+
+    fn throttling_begun(&mut self, throttled: &Throttled, _: MappingId) {
+        assert_eq!((throttled.age, throttled.refused), (Duration::ZERO, 1));
+        self.throttled += 1;
+    }
+
+    fn throttling_ended(&mut self, throttled: &Throttled) {
+        assert!(throttled.refused > 0);
+        self.throttled -= 1;
+    }
 }
 
 struct Worker {
@@ -116,6 +137,9 @@ struct World {
     rules: Rules,
     /// Places in use that a lower limit came too late for.
     flows_before_reload: Vec<u64>,
+    reloaded: Instant,
+    /// When requests passed in the last second: of each net, and of each flow.
+    passed: HashMap<Limited, Vec<Instant>>,
     workers: Vec<Worker>,
     under_way: Vec<Asked>,
     /// Who used a (worker, upstream port, server) last, and when (N-9).
@@ -135,6 +159,9 @@ fn table(rng: &mut Rng) -> Table {
         password: Password::new(*password),
         device_password: device.map(|octets| Password::new(*octets)),
     };
+    // Requests come in bursts of about ten.
+    let mut rate = |most| rng.bool().then(|| RequestRate::new(rng.u32(1..=most)));
+    let (max_requests, max_flow_requests) = (rate(6), rate(2));
     let net = |name: &str, kind, credentials, require_response_password, max_flows| Net {
         name: name.into(),
         kind,
@@ -144,6 +171,8 @@ fn table(rng: &mut Rng) -> Table {
         require_response_password,
         idle_timeout: IDLE_TIMEOUT,
         max_flows,
+        max_requests,
+        max_flow_requests,
     };
     let mut range = vec![
         credential("service", b"service!", None),
@@ -207,6 +236,7 @@ impl World {
                     ports: HashMap::new(),
                     opened_flows: 0,
                     closed_flows: 0,
+                    throttled: 0,
                 };
                 Worker { core, counters, shell }
             })
@@ -216,6 +246,8 @@ impl World {
             now,
             flows_before_reload: vec![0; rules.table.nets().len() + 1],
             rules,
+            reloaded: now,
+            passed: HashMap::new(),
             workers,
             under_way: Vec::new(),
             users: HashMap::new(),
@@ -368,7 +400,32 @@ impl World {
         if let Err(reason) = verdict {
             self.reasons[reason as usize] += 1;
         }
+        let limited = [
+            (Limited::Net(net.name.clone()), net.max_requests),
+            (
+                Limited::Flow(arrival.client, arrival.public_address, mapping.public_port),
+                net.max_flow_requests,
+            ),
+        ];
+        let rates = limited.map(|(limited, rate)| {
+            let passed = self.passed.entry(limited).or_default();
+            passed.extend(verdict.is_ok().then_some(self.now));
+            passed.retain(|&at| self.now - at < SECOND);
+            rate.map(|rate| (rate.per_second() as usize, passed.len()))
+        });
+        // What was owed under an old limit is paid within a second.
+        if self.now - self.reloaded >= SECOND {
+            let within = |&(rate, passed): &(usize, usize)| passed <= 2 * rate;
+            assert!(rates.iter().flatten().all(within), "(rate, passed): {rates:?}");
+            if verdict == Err(DropReason::RequestLimit) {
+                let used_up = |&(rate, passed): &(usize, usize)| passed >= rate;
+                assert!(rates.iter().flatten().any(used_up), "(rate, passed): {rates:?}");
+            }
+        }
         match (expect, verdict) {
+            (Expect::Pass, Err(DropReason::RequestLimit)) => {
+                assert!(rates.iter().any(Option::is_some), "nothing is limited");
+            }
             (Expect::Pass, Ok(to)) => {
                 assert_eq!(to.server, mapping.server, "R-9");
                 let head = octets.len() - 8;
@@ -539,6 +596,7 @@ impl World {
             assert!(after.iter().all(|flow| before.contains(flow)), "flows out of nowhere");
         }
         self.rules = rules;
+        self.reloaded = now;
         self.flows_before_reload = self.open_flows();
     }
 
@@ -558,6 +616,7 @@ impl World {
             core.check_invariants(self.now);
             let flows = core.flows(self.now).count();
             assert_eq!(flows, shell.opened_flows - shell.closed_flows, "N-10");
+            assert_eq!(shell.throttled == 0, core.throttle.is_quiet());
             let nodes = (0..table.mappings().len() as u32)
                 .map(|id| counters.node(MappingId(id)))
                 .chain([&counters.stray]);

@@ -11,6 +11,8 @@ use subtle::ConditionallySelectable;
 
 use crate::wire::{Header, Password};
 
+use super::rate::RequestRate;
+
 /// Index of a net in its [`Table`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct NetId(pub u16);
@@ -50,6 +52,10 @@ pub struct Net {
     pub idle_timeout: Duration,
     /// Flows that may be open at once.
     pub max_flows: u32,
+    /// Requests that may pass, of all clients together; none: any number.
+    pub max_requests: Option<RequestRate>,
+    /// Requests that may pass of each flow; none: any number.
+    pub max_flow_requests: Option<RequestRate>,
 }
 
 impl Net {

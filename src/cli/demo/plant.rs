@@ -89,6 +89,8 @@ impl Plant {
             require_response_password: true,
             idle_timeout: Duration::from_secs(300),
             max_flows: 64,
+            max_requests: None,
+            max_flow_requests: None,
         };
         let mapping = |node: &PlantNode| Mapping {
             net: NetId(0),

@@ -180,6 +180,13 @@ fn refuses_addresses_and_ports_that_cannot_be() {
             "server[0].idle_timeout",
             "out of bounds",
         ),
+        (
+            "node = 7",
+            "node = 7\nmax_requests_per_second = 0",
+            19,
+            "server[0].max_requests_per_second",
+            "from 1 to 1000000",
+        ),
         ("node = 7", "node = 7\nidle_timeout = \"2days\"", 19, "server[0].idle_timeout", "1day"),
         (
             "[public]",

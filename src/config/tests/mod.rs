@@ -14,7 +14,7 @@ use proptest::prelude::*;
 use tempfile::TempDir;
 
 use super::*;
-use crate::relay::NetKind;
+use crate::relay::{Net, NetKind, RequestRate};
 
 /// Line numbers in the cases below count from the first line of this text.
 const SOUND: &str = r#"[public]
@@ -46,13 +46,14 @@ fn folder() -> TempDir {
     let folder = tempfile::tempdir().unwrap();
     let secrets = folder.path().join("secrets");
     fs::create_dir(&secrets).unwrap();
-    let files: [(&str, &[u8], u32); 13] = [
+    let files: [(&str, &[u8], u32); 14] = [
         ("a", b"s3cr3t-A", 0o600),
         ("b", b"s3cr3t-B", 0o400),
         ("same-as-a", b"s3cr3t-A", 0o600),
         ("seven", b"s3cr3t-", 0o600),
         ("nine", b"s3cr3t-AB", 0o600),
         ("newline", b"s3cr3t-A\n", 0o600),
+        ("guessable", b"Pa55word", 0o600),
         ("for-group", b"s3cr3t-A", 0o620),
         ("for-others", b"s3cr3t-A", 0o604),
         ("token", b"s3cr3t-0123456789", 0o600),
@@ -134,8 +135,8 @@ fn r9_r10_r12_a_node_has_a_public_port_and_a_server() {
 #[test]
 fn every_setting_arrives() {
     let text = changed("[[server]]", "[[udp_range_net.password]]\nname = \"team-2\"\nfile = \"secrets/b\"\ndevice_file = \"secrets/any-octets\"\n[[server]]")
-        .replace("node = 7", "node = 7\nidle_timeout = \"2m\"\nmax_flows = 9\nrequire_response_password = true")
-        .replace("nodes =", "server_port = 5000\nnodes =")
+        .replace("node = 7", "node = 7\nidle_timeout = \"2m\"\nmax_flows = 9\nmax_requests_per_second = 70\nrequire_response_password = true")
+        .replace("nodes =", "server_port = 5000\nmax_flow_requests_per_second = 8\nnodes =")
         + r#"
 [protocol]
 header = "0a000001"
@@ -143,6 +144,7 @@ header = "0a000001"
 max_flows = 100
 wrong_password_burst = 3
 wrong_password_interval = "1m"
+audit_lines = 7
 [runtime]
 workers = 3
 receive_buffer = 65536
@@ -155,18 +157,34 @@ listen = "[::1]:0"
     assert_eq!(config.table.header, Header([0x0a, 0, 0, 1]));
     assert_eq!((config.limits.max_flows, config.limits.wrong_password_burst), (100, 3));
     assert_eq!(config.limits.wrong_password_interval, Duration::from_secs(60));
+    assert_eq!(config.runtime.audit_lines, 7);
     assert_eq!(config.runtime.workers, NonZeroUsize::new(3));
     assert_eq!((config.runtime.receive_buffer, config.runtime.drain), (65_536, Duration::ZERO));
     assert!(config.admin.is_none());
     let [section, press] = config.table.nets() else { panic!("two nets") };
     assert_eq!((press.idle_timeout, press.max_flows), (Duration::from_secs(120), 9));
     assert!(press.require_response_password && !section.require_response_password);
+    let rates = |net: &Net| {
+        [net.max_requests, net.max_flow_requests].map(|rate| rate.map(RequestRate::per_second))
+    };
+    assert_eq!([section, press].map(rates), [[None, Some(8)], [Some(70), None]]);
     assert_eq!(config.table.mappings()[0].server.port(), 5000);
     let second = &section.credentials[1];
     assert_eq!(second.name, "team-2");
     assert!(bool::from(second.password.matches(b"s3cr3t-B")));
     let device_password = second.device_password.as_ref().unwrap();
     assert!(bool::from(device_password.matches(b"\0\xff\n\r\x7f\0\0\0")));
+}
+
+#[test]
+fn warns_of_a_password_that_is_easily_guessed_and_does_not_show_it() {
+    let text = changed("secrets/a", "secrets/guessable");
+    let (_, warnings) = read(&text).unwrap();
+    let [warning] = &warnings[..] else { panic!("{warnings:?}") };
+    let warning = warning.to_string();
+    assert!(warning.contains("pnet-nat.toml:12: udp_range_net[0].password[0].file: "), "{warning}");
+    assert!(warning.contains("easily guessed") && warning.contains("/dev/urandom"), "{warning}");
+    assert!(!warning.contains("Pa55word"), "{warning}");
 }
 
 proptest! {

@@ -10,7 +10,7 @@ fn read(text: &str) -> Result<(Config, Vec<Warning>), Faults> {
     fs::create_dir(folder.path().join("secrets")).unwrap();
     for name in ["section-1", "section-1-device", "press", "press-device"] {
         let path = folder.path().join("secrets").join(name);
-        fs::write(&path, b"PASSWORD").unwrap();
+        fs::write(&path, b"s3cr3t-A").unwrap();
         fs::set_permissions(&path, Permissions::from_mode(0o600)).unwrap();
     }
     let token = folder.path().join("secrets/admin");
@@ -46,7 +46,8 @@ fn tells_the_defaults() {
     for (told, default) in told.table.nets().iter().zip(default.table.nets()) {
         let rules = |net: &crate::relay::Net| {
             let flags = (net.require_response_password, net.allow_without_password);
-            (net.idle_timeout, net.max_flows, flags)
+            let rates = (net.max_requests, net.max_flow_requests);
+            (net.idle_timeout, net.max_flows, rates, flags)
         };
         assert_eq!(rules(told), rules(default));
     }
