@@ -77,7 +77,7 @@ fn read(configuration: &str) -> (Config, Vec<Warning>) {
     let folder = tempfile::tempdir().unwrap();
     let password = folder.path().join("secrets/section-1");
     fs::create_dir(password.parent().unwrap()).unwrap();
-    fs::write(&password, "Pa55word").unwrap();
+    fs::write(&password, "k7Zq+4Lx").unwrap();
     fs::set_permissions(&password, Permissions::from_mode(0o600)).unwrap();
     config::parse(configuration, &folder.path().join("pnet-nat.toml"))
         .unwrap_or_else(|faults| panic!("{faults}"))

@@ -7,8 +7,8 @@
 use std::net::SocketAddr;
 
 use crate::harness::{
-    FIGURE_10, PASSWORD, Peer, Relay, SECOND, Settings, Site, WRONG, datagram, exchange, request,
-    response,
+    FIGURE_10, PASSWORD, Peer, Relay, SECOND, Settings, Site, WRONG, datagram, eventually,
+    exchange, request, response,
 };
 
 #[test]
@@ -105,6 +105,73 @@ fn a_source_with_too_many_wrong_passwords() {
     exchange(&client, site.public(4), &node, 4);
     assert_eq!(stranger.waiting(), None);
     relay.expect_drops(&[("request", "password_wrong", 8), ("request", "throttled", 3)]);
+    relay.finish();
+}
+
+/// Of each flow one passes, of the net one; whoever has no password uses nothing up.
+#[test]
+fn more_requests_than_a_flow_or_a_net_may_have() {
+    for (limit, passed) in [("max_flow_requests_per_second", 2), ("max_requests_per_second", 1)] {
+        let site = Site::claim();
+        let net = format!("{limit} = 1");
+        let relay = site.relay(Settings { net: &net, ..Settings::default() });
+        let (clients, stranger) = ([site.client(), site.client()], site.client());
+        let node = site.node(4);
+        // Held, so that all of it comes at one moment.
+        relay.process.hold();
+        for _ in 0..5 {
+            stranger.send(site.public(4), &datagram(&FIGURE_10, &[], WRONG));
+        }
+        for _ in 0..3 {
+            clients.iter().for_each(|client| client.send(site.public(4), &request(4)));
+        }
+        relay.process.go_on();
+        for _ in 0..passed {
+            node.expect(&request(4));
+        }
+        let limited = 6 - passed;
+        relay.expect_drops(&[
+            ("request", "password_wrong", 5),
+            ("request", "request_limit", limited),
+        ]);
+        assert_eq!(node.waiting(), None);
+        assert_eq!(relay.metrics().sum("pnet_nat_flows_opened_total", &[]), passed);
+        relay.finish();
+    }
+}
+
+/// A live flow is served while its address, forged, is throttled; a new one of it is not.
+#[test]
+fn a_forged_sender_does_not_lock_out_a_live_flow() {
+    let site = Site::claim();
+    let limits = "[limits]\nwrong_password_burst = 1\nwrong_password_interval = \"1h\"\n\
+                  prefilter = \"off\"";
+    let relay = site.relay(Settings { sections: limits, ..Settings::default() });
+    let (client, node) = (site.client(), site.node(4));
+    exchange(&client, site.public(4), &node, 4);
+    // What a forger sends looks like it came from the client's address, whatever the port.
+    let wrong = datagram(&FIGURE_10, &[], WRONG);
+    let mut sent = 0;
+    eventually("the address is throttled", || {
+        for _ in 0..100 {
+            Peer::bind((client.address().ip(), 0).into()).send(site.public(4), &wrong);
+            sent += 1;
+        }
+        let begun = relay.process.logged("throttling begun");
+        begun.iter().any(|line| line["scope"] == "address").then_some(())
+    });
+    for _ in 0..10 {
+        client.send(site.public(4), &wrong);
+        exchange(&client, site.public(4), &node, 4);
+    }
+    let elsewhere = Peer::bind((client.address().ip(), 0).into());
+    elsewhere.send(site.public(4), &request(4));
+    exchange(&client, site.public(4), &node, 4);
+    assert_eq!(elsewhere.waiting(), None);
+    relay.expect_drops(&[
+        ("request", "password_wrong", 512 + 10),
+        ("request", "throttled", sent - 512 + 1),
+    ]);
     relay.finish();
 }
 

@@ -5,11 +5,13 @@
 //! needs what the machine lacks says so and is left out; with `PNET_NAT_TESTS=all` it fails.
 
 mod admin;
+mod audit;
 mod bad_input;
 mod check;
 mod commands;
 mod confinement;
 mod drops;
+mod fail2ban;
 mod faults;
 mod floods;
 mod harness;

@@ -1,0 +1,151 @@
+//! The audit log as README tells it: every event by its name, with its fields, and never more lines
+//! than are allowed.
+
+use std::collections::BTreeSet;
+
+use serde_json::{Value, json};
+
+use crate::harness::{
+    FIGURE_10, Peer, Process, Relay, Settings, Site, WRONG, datagram, eventually, exchange,
+};
+
+const README: &str = include_str!("../../README.md");
+
+/// Ten wrong passwords, and what shows that there were enough.
+fn guess(relay: &Relay, site: &Site, stranger: &Peer) {
+    for _ in 0..5 {
+        stranger.send(site.public(4), &datagram(&FIGURE_10, &[], WRONG));
+    }
+    eventually("the throttling is logged", || {
+        let begun = relay.process.logged("throttling begun");
+        begun.into_iter().find(|line| line["client"] == json!(stranger.address()))
+    });
+}
+
+/// Each row of README's table: an event happens here, and its line has these fields and no others.
+#[test]
+fn every_event_of_the_readme_is_written_as_it_says() {
+    let site = Site::claim();
+    let limits = "[limits]\nwrong_password_burst = 2\nwrong_password_interval = \"500ms\"\n\
+                  audit_lines = 2";
+    let net = "idle_timeout = \"1s\"";
+    let relay = site.relay(Settings { net, sections: limits, ..Settings::default() });
+    let (client, node, stranger) = (site.client(), site.node(4), site.client());
+    exchange(&client, site.public(4), &node, 4);
+    guess(&relay, &site, &stranger);
+    eventually("all is over", || {
+        let ended = relay.process.logged("throttling ended").pop()?;
+        relay.process.logged("flow closed").pop().map(|_| ended)
+    });
+    for _ in 0..20 {
+        exchange(&site.client(), site.public(4), &node, 4);
+    }
+    let log = relay.finish();
+    for (event, level, fields) in events() {
+        let line = log.logged(&event).pop().unwrap_or_else(|| panic!("{event}: {}", log.stderr()));
+        assert_eq!(line["level"], json!(level), "{event}");
+        let keys = line.as_object().unwrap().keys().map(String::as_str);
+        let keys = keys.filter(|key| !["timestamp", "level", "message", "target"].contains(key));
+        assert_eq!(keys.collect::<BTreeSet<_>>(), fields, "{event}");
+    }
+    let opened = log.logged("flow opened").len() as u64;
+    assert_eq!(opened + left_out(&log, "flow opened"), 21, "{}", log.stderr());
+}
+
+/// Event, level and fields, from README's table.
+fn events() -> Vec<(String, String, BTreeSet<&'static str>)> {
+    let (_, table) =
+        README.split_once("| event | level | when | fields |\n|---|---|---|---|\n").unwrap();
+    let rows = table.lines().take_while(|line| line.starts_with('|'));
+    let events = rows.map(|row| {
+        let cells: Vec<_> = row.split('|').map(str::trim).collect();
+        let fields = cells[4].split('`').skip(1).step_by(2).collect();
+        (cells[1].trim_matches('`').to_owned(), cells[2].to_uppercase(), fields)
+    });
+    let events: Vec<_> = events.collect();
+    assert!(events.len() > 7, "{events:?}");
+    events
+}
+
+/// What the windows together say was left out of one event's lines.
+fn left_out(log: &Process, event: &str) -> u64 {
+    let lines = log.logged("audit lines left out").into_iter();
+    lines.filter(|line| line["of"] == event).map(|line| line["count"].as_u64().unwrap()).sum()
+}
+
+/// Opened, closed and left out add up, for somebody with a right password and many ports, and for
+/// somebody with wrong ones.
+#[test]
+fn many_events_make_few_lines_and_all_are_counted() {
+    const TIMES: usize = 60;
+    let site = Site::claim();
+    let limits = "[limits]\nwrong_password_burst = 1\nwrong_password_interval = \"1h\"\n\
+                  prefilter = \"off\"\naudit_lines = 10";
+    let relay = site.relay(Settings { sections: limits, ..Settings::default() });
+    let (node, address) = (site.node(4), site.client().address().ip());
+    // All at once, or some would get a port that another one had.
+    let peers: Vec<_> = (0..2 * TIMES).map(|_| Peer::bind((address, 0).into())).collect();
+    let (clients, strangers) = peers.split_at(TIMES);
+    for (client, stranger) in clients.iter().zip(strangers) {
+        exchange(client, site.public(4), &node, 4);
+        for _ in 0..3 {
+            stranger.send(site.public(4), &datagram(&FIGURE_10, &[], WRONG));
+        }
+    }
+    let times = TIMES as u64;
+    relay
+        .expect_drops(&[("request", "password_wrong", times), ("request", "throttled", 2 * times)]);
+    assert_eq!(relay.metrics().sum("pnet_nat_flows_opened_total", &[]), times);
+    let log = relay.finish();
+    for event in ["flow opened", "flow closed", "throttling begun"] {
+        let lines = log.logged(event).len();
+        // A busy machine may need more than one window of 10 s.
+        assert!((10..TIMES).contains(&lines), "{event}: {lines}");
+        assert_eq!(lines as u64 + left_out(&log, event), times, "{event}: {}", log.stderr());
+    }
+}
+
+/// By which a firewall can act, and a person tell what happened.
+#[test]
+fn throttling_names_the_sender_or_the_address() {
+    let site = Site::claim();
+    let limits = "[limits]\nwrong_password_burst = 2\nwrong_password_interval = \"1h\"\n\
+                  prefilter = \"off\"\naudit_lines = 10";
+    let relay = site.relay(Settings { sections: limits, ..Settings::default() });
+    let stranger = site.client();
+    guess(&relay, &site, &stranger);
+    // Two from each of 512 ports are what an address may send.
+    let wrong = datagram(&FIGURE_10, &[], WRONG);
+    let mut sent = 5;
+    let of_address = eventually("the address is throttled", || {
+        for _ in 0..20 {
+            let other_port = Peer::bind((stranger.address().ip(), 0).into());
+            (0..2).for_each(|_| other_port.send(site.public(4), &wrong));
+            sent += 2;
+        }
+        let begun = relay.process.logged("throttling begun");
+        begun.into_iter().find(|line| line["scope"] == "address")
+    });
+    let drops = eventually("all are dropped", || {
+        let drops = relay.metrics().drops();
+        (drops.values().sum::<u64>() == sent).then_some(drops)
+    });
+    let wrong = drops[&("request".to_owned(), "password_wrong".to_owned())];
+    assert_eq!(wrong, 2 * 512, "{drops:?}");
+    let log = relay.finish();
+    let of_sender = &log.logged("throttling begun")[0];
+    for (line, scope) in [(of_sender, "sender"), (&of_address, "address")] {
+        let expected = json!({
+            "level": "INFO",
+            "scope": scope,
+            "address": stranger.address().ip(),
+            "net": "section-1",
+            "node": 4,
+            "public_port": site.public(4).port(),
+        });
+        for (key, value) in expected.as_object().unwrap() {
+            assert_eq!(&line[key], value, "{key} in {line}");
+        }
+    }
+    assert_eq!(of_sender["client"], Value::String(stranger.address().to_string()));
+}
