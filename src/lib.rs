@@ -13,5 +13,7 @@ pub mod metrics;
 pub mod net;
 pub mod peer;
 pub mod relay;
+pub mod reload;
 pub mod sandbox;
+pub mod service;
 pub mod wire;

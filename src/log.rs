@@ -1,8 +1,10 @@
 //! The log: events to stderr, and the report that stands for noise.
 //!
 //! A datagram never makes a line of its own. What strangers send is counted, and [`Noise`] says
-//! once a window how much it was, and how much the audit log left out; a stderr that nobody reads loses lines and holds up nothing.
+//! once a window how much it was, and how much the audit log left out; a stderr that nobody reads
+//! loses lines and holds up nothing.
 
+use std::collections::HashMap;
 use std::io::{self, IsTerminal};
 use std::sync::{Arc, OnceLock};
 use std::time::{Duration, Instant};
@@ -12,8 +14,8 @@ use tracing::{Level, warn};
 use tracing_appender::non_blocking::{NonBlocking, NonBlockingBuilder, WorkerGuard};
 
 use crate::metrics::totals::NodeTotals;
-use crate::net::Router;
-use crate::relay::{Direction, DropReason, NetId, SourceSketch};
+use crate::net::{InForce, Router};
+use crate::relay::{Direction, DropReason, MappingId, NetId, SourceSketch, Table};
 
 /// Lines that wait for a slow stderr; more are lost.
 const WAITING_LINES: usize = 16 * 1024;
@@ -84,8 +86,10 @@ fn no_color() -> bool {
 #[derive(Debug)]
 pub struct Noise {
     router: Arc<Router>,
-    /// Dropped up to the end of the last window, by net and reason.
+    /// Dropped up to the end of the last window, by mapping and reason.
     reported: Vec<[u64; DropReason::COUNT]>,
+    /// Whose mappings they are.
+    table: Arc<Table>,
     window_began: Instant,
 }
 
@@ -95,9 +99,10 @@ impl Noise {
 
     /// Starts the first window.
     pub fn new(router: Arc<Router>) -> Self {
-        let nets = router.config().table.net_ids();
-        let reported = nets.map(|net| dropped(&router, net)).collect();
-        Self { router, reported, window_began: Instant::now() }
+        let in_force = router.in_force();
+        let table = Arc::clone(&in_force.config.table);
+        let reported = table.mapping_ids().map(|mapping| dropped(&in_force, mapping)).collect();
+        Self { router, reported, table, window_began: Instant::now() }
     }
 
     /// Reports at the end of each window, for ever.
@@ -119,38 +124,47 @@ impl Noise {
     /// Ends the window: writes its lines.
     fn report(&mut self, window: Duration) {
         self.window_began = Instant::now();
-        let lines = self.router.config().runtime.audit_lines;
-        self.router.audit().end_window(lines, window);
-        for net in self.router.config().table.net_ids() {
-            let dropped = dropped(&self.router, net);
-            let reported = std::mem::replace(&mut self.reported[usize::from(net.0)], dropped);
-            for reason in reasons() {
-                let count = dropped[reason as usize] - reported[reason as usize];
-                if count > 0 {
-                    self.line(net, reason, count, window);
-                }
+        let in_force = self.router.in_force();
+        self.router.audit().end_window(in_force.config.runtime.audit_lines, window);
+        let table = &in_force.config.table;
+        if !Arc::ptr_eq(table, &self.table) {
+            self.reported = carried_over(&self.reported, &self.table, table);
+            self.table = Arc::clone(table);
+        }
+        let mut counts = vec![[0; DropReason::COUNT]; table.nets().len()];
+        for (mapping, reported) in table.mapping_ids().zip(&mut self.reported) {
+            let dropped = dropped(&in_force, mapping);
+            let before = std::mem::replace(reported, dropped);
+            let counts = &mut counts[usize::from(table.mapping(mapping).net.0)];
+            for ((count, now), before) in counts.iter_mut().zip(dropped).zip(before) {
+                // A node that was away has begun again.
+                *count += now.checked_sub(before).unwrap_or(now);
             }
         }
+        for (net, counts) in table.net_ids().zip(counts) {
+            let happened = reasons().filter(|&reason| counts[reason as usize] > 0);
+            happened
+                .for_each(|reason| line(&in_force, net, reason, counts[reason as usize], window));
+        }
     }
+}
 
-    fn line(&self, net: NetId, reason: DropReason, count: u64, window: Duration) {
-        let workers = self.router.counters().iter();
-        let sketches = workers.map(|worker| worker.net(net).sources(reason));
-        let estimate = SourceSketch::take_estimate(sketches);
-        // The estimate may be off, but not beyond what is certain.
-        let sources = u64::from(estimate).clamp(1, count);
-        let from = match sources {
-            1 => "1 source".to_owned(),
-            _ if estimate == SourceSketch::MOST => format!("{sources} sources or more"),
-            _ => format!("{sources} sources"),
-        };
-        let net = &self.router.config().table.net(net).name;
-        let (what, seconds) = (reason.counted(count), window.as_secs_f64().ceil());
-        warn!(
-            %net, reason = %reason.label(), count, sources,
-            "{what} from {from} in {seconds} s"
-        );
-    }
+fn line(in_force: &InForce, net: NetId, reason: DropReason, count: u64, window: Duration) {
+    let sketches = in_force.counters.iter().map(|worker| worker.net(net).sources(reason));
+    let estimate = SourceSketch::take_estimate(sketches);
+    // The estimate may be off, but not beyond what is certain.
+    let sources = u64::from(estimate).clamp(1, count);
+    let from = match sources {
+        1 => "1 source".to_owned(),
+        _ if estimate == SourceSketch::MOST => format!("{sources} sources or more"),
+        _ => format!("{sources} sources"),
+    };
+    let net = &in_force.config.table.net(net).name;
+    let (what, seconds) = (reason.counted(count), window.as_secs_f64().ceil());
+    warn!(
+        %net, reason = %reason.label(), count, sources,
+        "{what} from {from} in {seconds} s"
+    );
 }
 
 /// Every reason once.
@@ -159,9 +173,9 @@ fn reasons() -> impl Iterator<Item = DropReason> {
     request.chain(DropReason::RESPONSE.into_iter().filter(|r| !DropReason::REQUEST.contains(r)))
 }
 
-/// Datagrams dropped so far in a net, by reason, both directions together.
-fn dropped(router: &Router, net: NetId) -> [u64; DropReason::COUNT] {
-    let totals = NodeTotals::of_net(router.counters(), &router.config().table, net);
+/// Datagrams dropped so far on the way to and from a node, by reason.
+fn dropped(in_force: &InForce, mapping: MappingId) -> [u64; DropReason::COUNT] {
+    let totals = NodeTotals::of_node(&in_force.counters, mapping);
     let mut dropped = [0; DropReason::COUNT];
     for direction in Direction::ALL {
         for &reason in direction.drop_reasons() {
@@ -169,6 +183,17 @@ fn dropped(router: &Router, net: NetId) -> [u64; DropReason::COUNT] {
         }
     }
     dropped
+}
+
+/// Figures by the mappings of one table, as figures by those of another: nodes by their net and
+/// address.
+fn carried_over<T: Copy + Default>(figures: &[T], old: &Table, new: &Table) -> Vec<T> {
+    fn nodes(table: &Table) -> impl Iterator<Item = (&str, u8)> {
+        let mappings = table.mappings().iter();
+        mappings.map(|mapping| (table.net(mapping.net).name.as_str(), mapping.node_address))
+    }
+    let figures: HashMap<_, _> = nodes(old).zip(figures).collect();
+    nodes(new).map(|node| figures.get(&node).copied().copied().unwrap_or_default()).collect()
 }
 
 #[cfg(test)]
@@ -209,7 +234,7 @@ mod tests {
     }
 
     fn drop_some(router: &Router, reason: DropReason, sources: impl Iterator<Item = u64>) {
-        for (source, worker) in sources.zip(router.counters().iter().cycle()) {
+        for (source, worker) in sources.zip(router.in_force().counters.iter().cycle()) {
             let node = worker.node(if source % 2 == 0 { NODE_1 } else { NODE_33 });
             node.direction(Direction::Request).dropped(reason).add(1);
             worker.net(SECTION).sources(reason).note(source);
@@ -239,6 +264,36 @@ mod tests {
             ]
         );
         assert_eq!(report(&mut noise), Vec::<Value>::new(), "a quiet window says nothing");
+    }
+
+    /// Nets and nodes may have come, gone, and changed places meanwhile.
+    #[test]
+    fn a_window_goes_on_over_a_reload() {
+        let router = Router::idle(config(), 1);
+        drop_some(&router, DropReason::BadHeader, 0..100);
+        let mut noise = Noise::new(router.clone());
+        drop_some(&router, DropReason::BadHeader, 0..5);
+        let turned = Router::idle(turned(), 1);
+        let carried = (NODE_1.0, 50 + 3);
+        let of_turned = turned.in_force();
+        for (mapping, count) in [carried, (NODE_33.0, 7)] {
+            let node = of_turned.counters[0].node(MappingId(mapping));
+            node.direction(Direction::Request).dropped(DropReason::BadHeader).add(count);
+        }
+        noise.router = turned;
+        let lines = report(&mut noise);
+        assert_eq!(lines.len(), 1);
+        assert_eq!(lines[0]["count"], 3 + 7, "{}", lines[0]);
+    }
+
+    /// Node 33 is away; in its place is one that was not there.
+    fn turned() -> crate::config::Config {
+        let mut turned = config();
+        let mut mappings = turned.table.mappings().to_vec();
+        mappings[NODE_33.0 as usize].node_address = 34;
+        let nets = turned.table.nets().to_vec();
+        turned.table = Arc::new(crate::relay::Table::new(turned.table.header, nets, mappings));
+        turned
     }
 
     #[test]

@@ -35,8 +35,11 @@ pub(super) async fn control(
     request: Request,
     next: Next,
 ) -> Response {
-    let admin = shared.router.config().admin.as_ref();
-    let mut response = match admin.map_or(Ok(()), |admin| admit(admin, &request)) {
+    let verdict = {
+        let in_force = shared.router.in_force();
+        in_force.config.admin.as_ref().map_or(Ok(()), |admin| admit(admin, &request))
+    };
+    let mut response = match verdict {
         Ok(()) => next.run(request).await,
         Err(refusal) => refusal.into_response(),
     };
@@ -126,7 +129,7 @@ mod tests {
     fn admin(token: Option<&str>, metrics_without_token: bool) -> Admin {
         let listen = "127.0.0.1:9378".parse().unwrap();
         let token = token.map(|token| Token::new(token.as_bytes()).unwrap());
-        Admin { listen, token, metrics_without_token }
+        Admin { listen, token, metrics_without_token, reload: false }
     }
 
     const TOKEN: &str = "0123456789abcdef";

@@ -5,6 +5,7 @@
 use std::collections::BTreeMap;
 use std::iter;
 use std::net::{IpAddr, SocketAddr};
+use std::time::Instant;
 
 use axum::Json;
 use axum::body::Body;
@@ -19,7 +20,7 @@ use serde::{Deserialize, Serialize};
 use super::Shared;
 use crate::config::Config;
 use crate::metrics::totals::{DirectionTotals, NetTotals, NodeTotals};
-use crate::net::Router;
+use crate::net::InForce;
 use crate::relay::{
     CloseReason, Credential, Direction, FlowRecord, Mapping, MappingId, Net, NetId, NetKind,
     RequestRate, Table,
@@ -36,9 +37,10 @@ pub(super) async fn status(State(shared): State<Shared>) -> Response {
 
 /// `GET /api/v1/nets`
 pub(super) async fn nets(State(shared): State<Shared>) -> Response {
-    let router = shared.router;
-    let nets = router.config().table.net_ids();
-    json_list("nets", nets.map(move |net| serde_json::to_string(&NetState::of(&router, net))))
+    let (started, in_force) = (shared.router.started(), shared.router.in_force());
+    let nets = in_force.config.table.net_ids();
+    let net = move |net| serde_json::to_string(&NetState::of(&in_force, started, net));
+    json_list("nets", nets.map(net))
 }
 
 /// Query of [`flows`].
@@ -60,20 +62,19 @@ pub(super) async fn flows(
     let turn = shared.flows_turn.lock_owned().await;
     let router = shared.router.clone();
     let asked = tokio::task::spawn_blocking(move || (router.flows(limit), turn)).await;
-    let Ok((flows, turn)) = asked else {
+    let Ok(((in_force, flows), turn)) = asked else {
         return (StatusCode::INTERNAL_SERVER_ERROR, "the workers gave no answer\n").into_response();
     };
-    let table = shared.router.config().table.clone();
     let flows = flows.into_iter().map(move |flow| {
         let _until_all_is_sent = &turn;
-        serde_json::to_string(&Flow::of(&table, &flow))
+        serde_json::to_string(&Flow::of(&in_force.config.table, &flow))
     });
     json_list("flows", flows)
 }
 
 /// `GET /api/v1/config`
 pub(super) async fn config(State(shared): State<Shared>) -> Response {
-    Json(ConfigInForce::of(shared.router.config())).into_response()
+    Json(ConfigInForce::of(&shared.router.in_force().config)).into_response()
 }
 
 /// An object with one list, made and sent item by item.
@@ -208,10 +209,11 @@ struct NetState<'a> {
 }
 
 impl<'a> NetState<'a> {
-    fn of(router: &'a Router, id: NetId) -> Self {
-        let table = &router.config().table;
+    fn of(in_force: &'a InForce, started: Instant, id: NetId) -> Self {
+        let table = &in_force.config.table;
         let net = table.net(id);
-        let totals = NetTotals::of_net(router.counters(), table, id);
+        let totals = NetTotals::of_net(&in_force.counters, table, id);
+        let node = |mapping| NodeState::of(in_force, started, mapping);
         let closed = |reason: CloseReason| (reason.label(), totals.flows_closed(reason));
         let credentials = net.credentials.iter().map(|credential| credential.name.as_str());
         Self {
@@ -221,8 +223,8 @@ impl<'a> NetState<'a> {
             flows_opened: totals.flows_opened,
             flows_closed: CloseReason::ALL.into_iter().map(closed).collect(),
             accepted_requests: credentials.zip(totals.accepted.iter().copied()).collect(),
-            kernel_dropped_datagrams: router.kernel_drops(id).by_cause().into(),
-            nodes: table.mappings_of(id).map(|mapping| NodeState::of(router, mapping)).collect(),
+            kernel_dropped_datagrams: in_force.kernel_drops(id).by_cause().into(),
+            nodes: table.mappings_of(id).map(node).collect(),
         }
     }
 }
@@ -248,11 +250,11 @@ struct NodeState {
 }
 
 impl NodeState {
-    fn of(router: &Router, mapping: MappingId) -> Self {
-        let totals = NodeTotals::of_node(router.counters(), mapping);
-        let age = |last| router.started().elapsed().saturating_sub(last).as_secs_f64();
+    fn of(in_force: &InForce, started: Instant, mapping: MappingId) -> Self {
+        let totals = NodeTotals::of_node(&in_force.counters, mapping);
+        let age = |last| started.elapsed().saturating_sub(last).as_secs_f64();
         Self {
-            element: Element::of(router.config().table.mapping(mapping)),
+            element: Element::of(in_force.config.table.mapping(mapping)),
             request: DirectionState::of(&totals, Direction::Request),
             response: DirectionState::of(&totals, Direction::Response),
             last_response_age_seconds: totals.last_response.map(age),
@@ -327,6 +329,8 @@ struct ConfigInForce<'a> {
     wrong_password_burst: u16,
     wrong_password_interval_seconds: f64,
     audit_lines: u32,
+    prefilter: &'static str,
+    busy_poll_seconds: f64,
     /// Null: one for each two cores.
     workers: Option<usize>,
     receive_buffer_bytes: usize,
@@ -336,6 +340,8 @@ struct ConfigInForce<'a> {
     /// Whether the admin server asks for a token.
     admin_has_token: bool,
     metrics_without_token: bool,
+    /// Whether `POST /-/reload` is switched on.
+    admin_reload: bool,
 }
 
 #[derive(Serialize)]
@@ -360,12 +366,15 @@ impl<'a> ConfigInForce<'a> {
             wrong_password_burst: limits.wrong_password_burst,
             wrong_password_interval_seconds: limits.wrong_password_interval.as_secs_f64(),
             audit_lines: runtime.audit_lines,
+            prefilter: runtime.prefilter.label(),
+            busy_poll_seconds: runtime.busy_poll.as_secs_f64(),
             workers: runtime.workers.map(usize::from),
             receive_buffer_bytes: runtime.receive_buffer,
             drain_seconds: runtime.drain.as_secs_f64(),
             admin_listen: admin.as_ref().map(|admin| admin.listen),
             admin_has_token: admin.as_ref().is_some_and(|admin| admin.token.is_some()),
             metrics_without_token: admin.as_ref().is_some_and(|a| a.metrics_without_token),
+            admin_reload: admin.as_ref().is_some_and(|admin| admin.reload),
         }
     }
 }

@@ -1,7 +1,8 @@
 //! The admin server: metrics, health, and a read-only API, for people and machines that watch.
 //!
-//! It changes nothing. One request a connection, a bound on connections, time and buffers, and
-//! answers made piece by piece as they are read: whatever its clients do, the data path goes on.
+//! It changes nothing, apart from a reload where the configuration allows one. One request a
+//! connection, a bound on connections, time and buffers, and answers made piece by piece as they are
+//! read: whatever its clients do, the data path goes on.
 
 mod access;
 mod api;
@@ -15,13 +16,14 @@ use std::io;
 use std::sync::Arc;
 use std::time::Duration;
 
+use axum::Json;
 use axum::body::Body;
 use axum::extract::State;
 use axum::http::StatusCode;
 use axum::http::header::CONTENT_TYPE;
 use axum::middleware;
 use axum::response::{Html, IntoResponse, Response};
-use axum::routing::get;
+use axum::routing::{get, post};
 use futures_util::stream;
 use hyper::server::conn::http1;
 use hyper_util::rt::{TokioIo, TokioTimer};
@@ -34,6 +36,7 @@ use tracing::warn;
 
 use crate::metrics::{self, Metrics};
 use crate::net::Router;
+use crate::reload::Reloader;
 use crate::sandbox::Sandbox;
 
 use connections::Connections;
@@ -50,10 +53,11 @@ const GRACE: Duration = Duration::from_secs(1);
 const ACCEPT_PAUSE: Duration = Duration::from_secs(1);
 
 /// What there is, and what it is for.
-const ROUTES: [(&str, &str); 7] = [
+const ROUTES: [(&str, &str); 8] = [
     ("/metrics", "for Prometheus"),
     ("/-/healthy", "200 as long as the process runs"),
     ("/-/ready", "200 while it relays, 503 before and after"),
+    ("/-/reload", "POST: reads the configuration again, where [admin] reload allows it"),
     ("/api/v1/status", "version, readiness and confinement"),
     ("/api/v1/nets", "nets and nodes with their counters"),
     ("/api/v1/flows?limit=1000", "open flows"),
@@ -61,13 +65,15 @@ const ROUTES: [(&str, &str); 7] = [
 ];
 
 /// Answers requests until `shutdown` is done; then lets the open ones end, for a second at most.
+/// `reloader` is what brings a configuration file into force, where there is one.
 pub async fn serve(
     listener: TcpListener,
     router: Arc<Router>,
+    reloader: Option<Arc<Reloader>>,
     sandbox: Sandbox,
     shutdown: impl Future<Output = ()>,
 ) {
-    let routes = routes(router, sandbox);
+    let routes = routes(router, reloader, sandbox);
     let mut connections = Connections::default();
     let accepting = async {
         loop {
@@ -93,14 +99,19 @@ pub async fn serve(
 }
 
 /// The admin server's routes.
-pub fn routes(router: Arc<Router>, sandbox: Sandbox) -> axum::Router {
+pub fn routes(
+    router: Arc<Router>,
+    reloader: Option<Arc<Reloader>>,
+    sandbox: Sandbox,
+) -> axum::Router {
     let metrics = Metrics::new(router.clone(), sandbox.clone());
-    let shared = Shared { router, sandbox, metrics, flows_turn: Arc::default() };
+    let shared = Shared { router, reloader, sandbox, metrics, flows_turn: Arc::default() };
     axum::Router::new()
         .route("/", get(index))
         .route("/metrics", get(scrape))
         .route("/-/healthy", get("healthy\n"))
         .route("/-/ready", get(ready))
+        .route("/-/reload", post(reload))
         .route("/api/v1/status", get(api::status))
         .route("/api/v1/nets", get(api::nets))
         .route("/api/v1/flows", get(api::flows))
@@ -114,6 +125,7 @@ pub fn routes(router: Arc<Router>, sandbox: Sandbox) -> axum::Router {
 #[derive(Clone)]
 struct Shared {
     router: Arc<Router>,
+    reloader: Option<Arc<Reloader>>,
     sandbox: Sandbox,
     metrics: Metrics,
     /// Held by the one request for flows that is being answered: a list of flows is large, and
@@ -146,6 +158,20 @@ async fn ready(State(shared): State<Shared>) -> (StatusCode, &'static str) {
         (StatusCode::OK, "ready\n")
     } else {
         (StatusCode::SERVICE_UNAVAILABLE, "not ready\n")
+    }
+}
+
+async fn reload(State(shared): State<Shared>) -> Response {
+    let in_force = shared.router.in_force();
+    let allowed = in_force.config.admin.as_ref().is_some_and(|admin| admin.reload);
+    let Some(reloader) = shared.reloader.filter(|_| allowed) else {
+        let message = "switched off; send SIGHUP, or set [admin] reload = true first\n";
+        return (StatusCode::FORBIDDEN, message).into_response();
+    };
+    drop(in_force);
+    match reloader.reload().await {
+        Ok(changes) => Json(changes).into_response(),
+        Err(faults) => (StatusCode::UNPROCESSABLE_ENTITY, faults + "\n").into_response(),
     }
 }
 

@@ -1,5 +1,6 @@
 //! `pnet-nat run`: the relay, until a signal ends it.
 
+use std::future;
 use std::net::{SocketAddr, TcpListener as StdListener};
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -16,12 +17,14 @@ use crate::admin;
 use crate::config::Config;
 use crate::log::{self, Noise};
 use crate::net::{Bound, Router};
+use crate::reload::Reloader;
 use crate::sandbox::{self, Sandbox};
+use crate::service;
 
 /// Relay between clients on the Internet and the server nodes of a plant.
 ///
 /// Ends on SIGTERM or SIGINT: takes no more requests, waits for the answers that are due, and
-/// exits 0. A second signal ends it at once.
+/// exits 0. A second signal ends it at once. SIGHUP has it read its configuration again.
 #[derive(clap::Args)]
 #[command(after_help = "Example:  pnet-nat run --config /etc/pnet-nat/pnet-nat.toml")]
 pub(super) struct Args {
@@ -55,7 +58,9 @@ pub(super) fn run(args: &Args) -> anyhow::Result<ExitCode> {
     let sandbox = prepared.map_or_else(Sandbox::off, |prepared| prepared.confine(&files));
     sandbox.announce();
     let _log = log::in_background();
-    relay(Arc::new(router.start()?), sandbox, admin)
+    let router = Arc::new(router.start()?);
+    let reloader = Arc::new(Reloader::new(args.config.clone(), Arc::clone(&router)));
+    relay(router, admin, reloader, sandbox)
 }
 
 /// Binds everything, or nothing.
@@ -74,37 +79,45 @@ fn bind_admin(address: SocketAddr) -> anyhow::Result<StdListener> {
 
 fn relay(
     router: Arc<Router>,
-    sandbox: Sandbox,
     admin: Option<StdListener>,
+    reloader: Arc<Reloader>,
+    sandbox: Sandbox,
 ) -> anyhow::Result<ExitCode> {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     let outcome = runtime.block_on(async {
         let mut signals = Signals::new()?;
+        let mut hangup = signal(SignalKind::hangup())?;
         let mut noise = Noise::new(Arc::clone(&router));
         let stopped = Arc::new(Notify::new());
         let serving = match admin {
             Some(listener) => {
                 let listener = TcpListener::from_std(listener)?;
-                let (router, stopped) = (Arc::clone(&router), Arc::clone(&stopped));
+                let (router, reloader) = (Arc::clone(&router), Arc::clone(&reloader));
+                let stopped = Arc::clone(&stopped);
                 Some(tokio::spawn(async move {
-                    admin::serve(listener, router, sandbox, stopped.notified()).await;
+                    let reloader = Some(reloader);
+                    admin::serve(listener, router, reloader, sandbox, stopped.notified()).await;
                 }))
             }
             None => None,
         };
         announce(&router);
-        let mut hangup = signal(SignalKind::hangup())?;
-        let ignoring_hangups = async {
+        service::ready(&router);
+        let reloading = async {
+            // However many come during a reload, there is one more after it.
             while hangup.recv().await.is_some() {
-                tracing::warn!("SIGHUP ignored; restart to bring a new configuration into force");
+                // Both outcomes are in the log.
+                let _ = reloader.reload().await;
             }
-            std::future::pending().await
+            future::pending().await
         };
         tokio::select! {
             name = signals.next() => tracing::info!(signal = name, "stopping"),
             never = noise.run() => never,
-            never = ignoring_hangups => never,
+            never = reloading => never,
+            never = service::watchdog(Arc::clone(&router)) => never,
         }
+        service::stopping();
         let draining = Arc::clone(&router);
         let drained = tokio::task::spawn_blocking(move || draining.shut_down());
         tokio::select! {
@@ -128,13 +141,14 @@ fn relay(
 }
 
 fn announce(router: &Router) {
-    let config = router.config();
+    let in_force = router.in_force();
+    let config = &in_force.config;
     tracing::info!(
         version = env!("CARGO_PKG_VERSION"),
         listen = ?config.listen,
         nets = config.table.nets().len(),
         public_ports = config.table.mappings().len(),
-        workers = router.counters().len(),
+        workers = in_force.counters.len(),
         admin = config.admin.as_ref().map(|admin| tracing::field::display(admin.listen)),
         "relaying"
     );

@@ -3,6 +3,7 @@
 //! TOML text becomes a [`Config`] that holds nothing to check again, or [`Faults`]: all of them in
 //! one run, each with its line, its key and what to do. `config/pnet-nat.toml` describes the keys.
 
+mod changes;
 mod fault;
 mod guessable;
 mod model;
@@ -31,6 +32,7 @@ use fault::{Place, Report, line_of};
 use net::Draft;
 use section::{LONGEST, Section};
 
+pub use changes::Changes;
 pub use fault::{Fault, Faults, Warning};
 pub use model::{Admin, Config, NotAPrefilter, Prefilter, Runtime};
 pub use node_range::{NodeRange, NotANodeRange};
@@ -169,6 +171,7 @@ fn admin(mut section: Section<'_>) -> Option<Admin> {
     let token_file = section.key("token_file", "\"secrets/admin\"");
     let token = token::token_file(&token_file);
     let open_metrics = section.key("metrics_without_token", "true");
+    let reload = section.key("reload", "true");
     section.finish();
     let beyond = !listen.ip().to_canonical().is_loopback();
     if enabled && beyond && !token_file.is_there() {
@@ -178,7 +181,8 @@ fn admin(mut section: Section<'_>) -> Option<Admin> {
         );
     }
     let metrics_without_token = open_metrics.boolean().unwrap_or(false);
-    enabled.then_some(Admin { listen, token, metrics_without_token })
+    let reload = reload.boolean().unwrap_or(false);
+    enabled.then_some(Admin { listen, token, metrics_without_token, reload })
 }
 
 fn table(header: Header, drafts: Vec<Draft<'_>>) -> Table {

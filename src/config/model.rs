@@ -76,6 +76,17 @@ impl FromStr for Prefilter {
     }
 }
 
+impl Prefilter {
+    /// The name that the configuration has for it.
+    pub const fn label(self) -> &'static str {
+        match self {
+            Self::Auto => "auto",
+            Self::Always => "always",
+            Self::Off => "off",
+        }
+    }
+}
+
 impl Default for Runtime {
     fn default() -> Self {
         Self {
@@ -90,7 +101,7 @@ impl Default for Runtime {
 }
 
 /// The admin server.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Admin {
     /// Where it listens.
     pub listen: SocketAddr,
@@ -98,4 +109,6 @@ pub struct Admin {
     pub token: Option<Token>,
     /// Whether the metrics are for everybody all the same.
     pub metrics_without_token: bool,
+    /// Whether `POST /-/reload` brings the configuration file into force.
+    pub reload: bool,
 }

@@ -4,13 +4,15 @@
 //! Labels are names of the configuration, node addresses and labels of enums: never a client's
 //! address, never a password.
 
+use std::time::Instant;
+
 use prometheus::proto::{
     Bucket, Counter, Gauge, Histogram, LabelPair, Metric, MetricFamily, MetricType,
 };
 
 use super::metric_family;
 use super::totals::{DirectionTotals, NetTotals, NodeTotals};
-use crate::net::KernelDrops;
+use crate::net::{KernelDrops, LastReload};
 use crate::relay::{CloseReason, Direction, Net, RESPONSE_BUCKETS};
 use crate::sandbox::{Layer, Sandbox, State};
 
@@ -120,22 +122,34 @@ pub(super) const NET_FAMILIES: &[NetFamily] = &[
 pub(super) struct RouterFamily {
     pub(super) name: &'static str,
     pub(super) help: &'static str,
-    /// The sample, given the router's start as Unix time in seconds.
-    pub(super) sample: fn(started_at: f64) -> Metric,
+    pub(super) sample: fn(&RouterState) -> Metric,
+}
+
+/// What the families of the router are made of.
+pub(super) struct RouterState {
+    pub(super) last_reload: LastReload,
+    pub(super) started: Instant,
+    /// The same as Unix time, in seconds.
+    pub(super) started_at: f64,
+}
+
+impl RouterState {
+    fn unix_time_of_success(&self) -> f64 {
+        self.started_at + self.last_reload.success_at.duration_since(self.started).as_secs_f64()
+    }
 }
 
 /// Gauges all.
 pub(super) const ROUTER_FAMILIES: &[RouterFamily] = &[
-    // The configuration is read once, at the start, and there is no router without a sound one.
     RouterFamily {
         name: "pnet_nat_config_last_reload_successful",
-        help: "Whether the configuration was sound when it was last read: 1 or 0.",
-        sample: |_| gauge(&[], 1.0),
+        help: "Whether the configuration that was last read came into force: 1 or 0.",
+        sample: |state| gauge(&[], f64::from(state.last_reload.successful)),
     },
     RouterFamily {
         name: "pnet_nat_config_last_reload_success_timestamp_seconds",
-        help: "Unix time when a sound configuration was last read.",
-        sample: |started_at| gauge(&[], started_at),
+        help: "Unix time when the configuration in force came into force.",
+        sample: |state| gauge(&[], state.unix_time_of_success()),
     },
     RouterFamily {
         name: "pnet_nat_build_info",

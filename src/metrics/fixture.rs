@@ -44,6 +44,7 @@ pub(crate) fn config() -> Config {
             listen: SocketAddr::from(([127, 0, 0, 1], 9378)),
             token: None,
             metrics_without_token: false,
+            reload: false,
         }),
         files: Vec::new(),
     }

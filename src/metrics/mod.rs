@@ -21,9 +21,11 @@ use prometheus::core::Collector;
 use prometheus::process_collector::ProcessCollector;
 use prometheus::proto::{Metric, MetricFamily, MetricType};
 
-use self::families::{NET_FAMILIES, NetFamily, NetSums, ROUTER_FAMILIES, RouterFamily};
+use self::families::{
+    NET_FAMILIES, NetFamily, NetSums, ROUTER_FAMILIES, RouterFamily, RouterState,
+};
 use self::totals::{NetTotals, NodeTotals};
-use crate::net::{KernelDrops, Router};
+use crate::net::{InForce, KernelDrops, Router};
 use crate::relay::NetId;
 use crate::sandbox::Sandbox;
 
@@ -52,16 +54,21 @@ impl Metrics {
     }
 
     /// All metrics in Prometheus' text format, piece by piece; each piece is summed up and encoded
-    /// when it is taken.
+    /// when it is taken. All are of the configuration that is in force at the beginning.
     pub fn chunks(&self) -> impl Iterator<Item = String> + Send + use<> {
         self.look_at_the_clock();
-        let (by_net, metrics) = (self.clone(), self.clone());
+        let (in_force, started_at) = (self.router.in_force(), self.started_at());
+        let state = RouterState {
+            last_reload: self.router.last_reload(),
+            started: self.router.started(),
+            started_at,
+        };
+        let router = ROUTER_FAMILIES.iter().map(move |family| router_family(family, &state));
         let layers = iter::once(families::sandbox_layers(&self.sandbox));
-        let router = ROUTER_FAMILIES.iter().map(move |family| metrics.router_family(family));
         let process = iter::once_with(|| ProcessCollector::for_self().collect()).flatten();
         NET_FAMILIES
             .iter()
-            .flat_map(move |family| by_net.clone().net_family(family))
+            .flat_map(move |family| net_family(Arc::clone(&in_force), started_at, family))
             .chain(router.chain(layers).chain(process).filter_map(|family| encode(&family)))
     }
 
@@ -76,54 +83,59 @@ impl Metrics {
     fn started_at(&self) -> f64 {
         self.started_at.load(Relaxed) as f64 / 1e6
     }
+}
 
-    /// One family, net by net, strays last.
-    fn net_family(self, family: &'static NetFamily) -> impl Iterator<Item = String> {
-        let nets = self.router.config().table.net_ids().map(Some).chain([None]);
-        let mut headed = false;
-        nets.filter_map(move |net| {
-            let sums = net.map_or_else(|| self.stray_sums(), |net| self.net_sums(net));
-            let samples = (family.samples)(&sums);
-            let mut text = encode(&metric_family(family.name, family.help, family.kind, samples))?;
-            if headed {
-                text.drain(..header_len(&text));
-            }
-            headed = true;
-            Some(text)
-        })
-    }
-
-    fn net_sums(&self, id: NetId) -> NetSums<'_> {
-        let (table, workers) = (&self.router.config().table, self.router.counters());
-        let net = table.net(id);
-        let node = |mapping| {
-            let node_address = table.mapping(mapping).node_address.to_string();
-            (node_address, NodeTotals::of_node(workers, mapping))
+/// One family, net by net, strays last.
+fn net_family(
+    in_force: Arc<InForce>,
+    started_at: f64,
+    family: &'static NetFamily,
+) -> impl Iterator<Item = String> {
+    let nets = in_force.config.table.net_ids().map(Some).chain([None]);
+    let mut headed = false;
+    nets.filter_map(move |net| {
+        let sums = match net {
+            Some(net) => net_sums(&in_force, started_at, net),
+            None => stray_sums(&in_force, started_at),
         };
-        NetSums {
-            label: &net.name,
-            nodes: table.mappings_of(id).map(node).collect(),
-            net: Some((net, NetTotals::of_net(workers, table, id))),
-            kernel_drops: Box::new(move || self.router.kernel_drops(id)),
-            started_at: self.started_at(),
+        let samples = (family.samples)(&sums);
+        let mut text = encode(&metric_family(family.name, family.help, family.kind, samples))?;
+        if headed {
+            text.drain(..header_len(&text));
         }
-    }
+        headed = true;
+        Some(text)
+    })
+}
 
-    fn stray_sums(&self) -> NetSums<'_> {
-        let strays = NodeTotals::of_strays(self.router.counters());
-        NetSums {
-            label: STRAY_NET,
-            nodes: vec![(STRAY_NODE.to_owned(), strays)],
-            net: None,
-            kernel_drops: Box::new(KernelDrops::default),
-            started_at: self.started_at(),
-        }
+fn net_sums(in_force: &InForce, started_at: f64, id: NetId) -> NetSums<'_> {
+    let (table, workers) = (&in_force.config.table, &in_force.counters);
+    let net = table.net(id);
+    let node = |mapping| {
+        let node_address = table.mapping(mapping).node_address.to_string();
+        (node_address, NodeTotals::of_node(workers, mapping))
+    };
+    NetSums {
+        label: &net.name,
+        nodes: table.mappings_of(id).map(node).collect(),
+        net: Some((net, NetTotals::of_net(workers, table, id))),
+        kernel_drops: Box::new(move || in_force.kernel_drops(id)),
+        started_at,
     }
+}
 
-    fn router_family(&self, family: &RouterFamily) -> MetricFamily {
-        let sample = (family.sample)(self.started_at());
-        metric_family(family.name, family.help, MetricType::GAUGE, vec![sample])
+fn stray_sums(in_force: &InForce, started_at: f64) -> NetSums<'_> {
+    NetSums {
+        label: STRAY_NET,
+        nodes: vec![(STRAY_NODE.to_owned(), NodeTotals::of_strays(&in_force.counters))],
+        net: None,
+        kernel_drops: Box::new(KernelDrops::default),
+        started_at,
     }
+}
+
+fn router_family(family: &RouterFamily, state: &RouterState) -> MetricFamily {
+    metric_family(family.name, family.help, MetricType::GAUGE, vec![(family.sample)(state)])
 }
 
 /// Unix time of the router's start in microseconds, by the clock as it is set now.

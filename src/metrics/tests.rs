@@ -110,7 +110,7 @@ fn every_reason_stands_at_0_before_anything_happened() {
 #[test]
 fn workers_are_added_up() {
     let router = Router::idle(config(), 2);
-    for (worker, n) in router.counters().iter().zip([3, 40]) {
+    for (worker, n) in router.in_force().counters.iter().zip([3, 40]) {
         let requests = worker.node(NODE_33).direction(Direction::Request);
         requests.received.add(n);
         requests.forwarded.add(n - 1);
@@ -149,7 +149,7 @@ fn workers_are_added_up() {
 fn the_histogram_is_cumulative_and_ends_with_the_count() {
     let router = Router::idle(config(), 2);
     let times = [150, 900, 900, 7_000, 60_000_000].map(Duration::from_micros);
-    for (worker, time) in router.counters().iter().cycle().zip(times) {
+    for (worker, time) in router.in_force().counters.iter().cycle().zip(times) {
         worker.node(NODE_1).response_times.observe(time);
     }
     let scrape = Scrape::of(&router);
@@ -167,7 +167,7 @@ fn the_histogram_is_cumulative_and_ends_with_the_count() {
 #[test]
 fn the_last_response_is_the_latest_of_all_workers_in_unix_time() {
     let router = Router::idle(config(), 2);
-    for (worker, nanos) in router.counters().iter().zip([2_500_000_000, 1_000_000_000]) {
+    for (worker, nanos) in router.in_force().counters.iter().zip([2_500_000_000, 1_000_000_000]) {
         worker.node(NODE_1).last_response.set(nanos);
     }
     let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap().as_secs_f64();
@@ -185,7 +185,8 @@ fn text_comes_net_by_net_and_only_when_asked_for() {
     let mut chunks = Metrics::new(router.clone(), Sandbox::off()).chunks();
     let first = chunks.next().unwrap();
     assert!(first.contains("section-1") && !first.contains("press"), "{first}");
-    let press = router.counters()[0].node(crate::relay::MappingId(1));
+    let in_force = router.in_force();
+    let press = in_force.counters[0].node(crate::relay::MappingId(1));
     press.direction(Direction::Request).received.add(9);
     let second = chunks.next().unwrap();
     assert!(second.contains("node=\"7\",direction=\"request\"} 9\n"), "{second}");

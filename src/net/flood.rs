@@ -7,13 +7,14 @@ use crate::config::Prefilter;
 use crate::relay::{ListenerId, Table};
 
 use super::complaints::Complaints;
-use super::public::PublicSocket;
+use super::prefilter;
+use super::public::{Listener, Listeners};
 
 /// Turns the prefilter of one worker's public sockets on and off, where that is left to it.
 pub(super) struct FloodGuard {
     automatic: bool,
-    /// Of each public socket.
-    watches: Box<[FloodWatch]>,
+    /// Of each public socket, in its place.
+    watches: Vec<FloodWatch>,
     /// Sockets on which the prefilter is on.
     filtered: usize,
     table: Arc<Table>,
@@ -25,13 +26,13 @@ pub(super) struct FloodGuard {
 impl FloodGuard {
     pub(super) fn new(
         prefilter: Prefilter,
-        sockets: usize,
+        places: usize,
         table: Arc<Table>,
         started: Instant,
     ) -> Self {
         Self {
             automatic: prefilter == Prefilter::Auto,
-            watches: (0..sockets).map(|_| FloodWatch::default()).collect(),
+            watches: (0..places).map(|_| FloodWatch::default()).collect(),
             filtered: 0,
             table,
             started,
@@ -47,16 +48,10 @@ impl FloodGuard {
 
     /// Notes datagrams that the prefilter would have spared the worker, and turns it on where they
     /// are a flood.
-    pub(super) fn note(
-        &mut self,
-        id: ListenerId,
-        public: &PublicSocket,
-        now: Instant,
-        spared: usize,
-    ) {
+    pub(super) fn note(&mut self, id: ListenerId, public: &Listener, now: Instant, spared: usize) {
         let watch = &mut self.watches[id.0 as usize];
         if !self.automatic
-            || public.is_filtered()
+            || public.socket.is_filtered()
             || !watch.flooded(now.saturating_duration_since(self.started), spared)
         {
             return;
@@ -73,12 +68,14 @@ impl FloodGuard {
     }
 
     /// Turns the prefilter off where the flood is over. To be called about once a second.
-    pub(super) fn look(&mut self, public: &[PublicSocket]) {
+    pub(super) fn look(&mut self, listeners: &Listeners) {
         if self.is_quiet() {
             return;
         }
-        for (public, watch) in public.iter().zip(&mut self.watches) {
-            if !public.is_filtered() || !watch.over(public.drops().prefilter) {
+        for (id, public) in listeners.iter().filter(|(_, public)| public.socket.is_filtered()) {
+            // A figure that cannot be read is read at the next look.
+            let Ok(figure) = public.kernel_figure() else { continue };
+            if !self.watches[id.0 as usize].over(figure) {
                 continue;
             }
             match public.filter(false, &self.table) {
@@ -90,6 +87,43 @@ impl FloodGuard {
             tracing::info!("floods are over: prefilter off");
         }
     }
+
+    /// Goes over to another configuration, before a datagram is judged by it. The kernel never
+    /// refuses what the new one accepts: where a program cannot be had, there is none.
+    pub(super) fn reload(
+        &mut self,
+        prefilter: Prefilter,
+        table: Arc<Table>,
+        before: &Listeners,
+        after: &Listeners,
+    ) {
+        self.watches.resize_with(after.places(), FloodWatch::default);
+        for (id, public) in after.iter() {
+            let Some(was) = before.get(id).filter(|_| after.keeps(id, before)) else {
+                self.watches[id.0 as usize] = FloodWatch::default();
+                continue;
+            };
+            let filtered = public.socket.is_filtered();
+            let filter = match prefilter {
+                // One that was always on says nothing of a flood.
+                Prefilter::Auto => filtered && self.automatic,
+                Prefilter::Always => true,
+                Prefilter::Off => false,
+            };
+            let same = || prefilter::is_same((&self.table, was.net), (&table, public.net));
+            if filter == filtered && (!filter || same()) {
+                continue;
+            }
+            if let Err(error) = public.filter(filter, &table) {
+                self.complaints.note(&error, "cannot change the prefilter");
+                let _ = public.filter(false, &table);
+            }
+        }
+        self.automatic = prefilter == Prefilter::Auto;
+        let filtered = after.iter().filter(|(_, public)| public.socket.is_filtered());
+        self.filtered = if self.automatic { filtered.count() } else { 0 };
+        self.table = table;
+    }
 }
 
 /// Watches one public socket for a flood, to tell when the prefilter pays.
@@ -99,8 +133,8 @@ struct FloodWatch {
     window: u64,
     /// Datagrams in this window that the prefilter would have spared.
     spared: usize,
-    /// Datagrams that the kernel had refused at the last look.
-    refused: u64,
+    /// The kernel's figure at the last look.
+    dropped: u32,
     quiet_looks: u32,
 }
 
@@ -108,7 +142,7 @@ impl FloodWatch {
     /// So many in a tenth of a second are a flood.
     const FLOOD: usize = 100;
     /// Fewer between two looks are quiet,
-    const QUIET: u64 = 100;
+    const QUIET: u32 = 100;
     /// and so many quiet looks are peace. The worker looks about once a second.
     const QUIET_LOOKS: u32 = 10;
 
@@ -123,8 +157,8 @@ impl FloodWatch {
     }
 
     /// Takes the kernel's figure, and tells whether the flood is over.
-    fn over(&mut self, refused: u64) -> bool {
-        let new = refused - std::mem::replace(&mut self.refused, refused);
+    fn over(&mut self, dropped: u32) -> bool {
+        let new = dropped.wrapping_sub(std::mem::replace(&mut self.dropped, dropped));
         self.quiet_looks = if new < Self::QUIET { self.quiet_looks + 1 } else { 0 };
         let over = self.quiet_looks >= Self::QUIET_LOOKS;
         if over {
@@ -146,11 +180,12 @@ mod tests {
             assert!(!watch.flooded(tenth(n), 99), "990 a second are none");
         }
         assert!(watch.flooded(tenth(49), 1));
-        let mut refused = 0;
+        let mut dropped = u32::MAX - 50;
         let mut look = |new| {
-            refused += new;
-            watch.over(refused)
+            dropped = dropped.wrapping_add(new);
+            watch.over(dropped)
         };
+        assert!(!look(0), "what the kernel dropped before counts once");
         assert!((0..9).all(|_| !look(99)) && !look(100) && (0..9).all(|_| !look(0)));
         assert!(look(0));
         assert!(!watch.flooded(tenth(49), 99));

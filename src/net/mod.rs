@@ -6,13 +6,16 @@ mod address;
 mod audit;
 #[allow(unsafe_code)]
 mod batch;
+mod bind;
 mod busy;
 mod complaints;
 mod descriptors;
 mod flood;
+mod in_force;
 mod place;
 mod prefilter;
 mod public;
+mod reload;
 mod router;
 #[allow(unsafe_code)]
 mod socket;
@@ -20,6 +23,9 @@ mod steer;
 mod upstream;
 mod worker;
 
+pub use bind::StartError;
 pub use descriptors::TooFewDescriptors;
+pub use in_force::InForce;
 pub use public::KernelDrops;
-pub use router::{Bound, Router, StartError};
+pub use reload::{LastReload, ReloadError};
+pub use router::{Bound, Router};

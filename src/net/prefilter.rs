@@ -13,7 +13,7 @@ use libc::{
 };
 use socket2::{SockFilter, Socket};
 
-use crate::relay::{DropReason, Net, NetId, Table};
+use crate::relay::{Credential, DropReason, Net, NetId, Table};
 use crate::wire::{self, Header, Password};
 
 /// More passwords than that are not compared in the kernel: a program's jumps reach 255 steps.
@@ -41,6 +41,18 @@ pub(super) fn attach(socket: &Socket, table: &Table, net: NetId) -> io::Result<(
 /// Lets everything through again.
 pub(super) fn detach(socket: &Socket) -> io::Result<()> {
     socket.detach_filter()
+}
+
+/// Whether two nets of two tables have the same program.
+pub(super) fn is_same(one: (&Table, NetId), other: (&Table, NetId)) -> bool {
+    let (net, other_net) = (one.0.net(one.1), other.0.net(other.1));
+    let same = |(one, other): (&Credential, &Credential)| {
+        bool::from(one.password.matches(other.password.octets()))
+    };
+    one.0.header == other.0.header
+        && net.allow_without_password == other_net.allow_without_password
+        && net.credentials.len() == other_net.credentials.len()
+        && net.credentials.iter().zip(&other_net.credentials).all(same)
 }
 
 /// Whether the prefilter would have spared the worker a datagram that was dropped for this reason.

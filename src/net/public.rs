@@ -1,13 +1,16 @@
-//! A public socket, with what the kernel says and does about it.
+//! Public sockets, what they stand for, and what the kernel says and does about them.
+//!
+//! A socket outlives a reload as long as its address and port are wanted; what it stands for may
+//! change. Its place in a worker's [`Listeners`] stays the same all its life.
 
 use std::io;
-use std::iter::Sum;
-use std::net::IpAddr;
-use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering::Relaxed};
+use std::net::{IpAddr, SocketAddr};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::Relaxed};
+use std::sync::{Arc, Mutex, PoisonError};
 
 use socket2::Socket;
 
-use crate::relay::{MappingId, NetId, Table};
+use crate::relay::{ListenerId, MappingId, NetId, Table};
 
 use super::{prefilter, socket};
 
@@ -15,15 +18,33 @@ use super::{prefilter, socket};
 #[derive(Debug)]
 pub(super) struct PublicSocket {
     pub socket: Socket,
+    filtered: AtomicBool,
+    /// What the kernel's figure was when it was last looked at. Locked while it is read, for who
+    /// reads it first has to account for it first.
+    seen: Mutex<u32>,
+}
+
+/// A public socket of one worker, and what it stands for in the NAT table in force.
+#[derive(Clone, Debug)]
+pub(super) struct Listener {
+    pub socket: Arc<PublicSocket>,
+    /// Where it listens.
+    pub address: SocketAddr,
     pub mapping: MappingId,
     pub net: NetId,
-    /// The configured address; unspecified when the socket serves all of the host's.
-    pub address: IpAddr,
-    filtered: AtomicBool,
-    /// What the kernel's figure was when it was last looked at.
-    seen: AtomicU32,
-    overflowed: AtomicU64,
-    refused: AtomicU64,
+    pub drops: Arc<NetDrops>,
+}
+
+/// The public sockets of one worker, by [`ListenerId`]. A place whose socket was closed is empty,
+/// until another takes it.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Listeners(Vec<Option<Listener>>);
+
+/// What the kernel dropped on a net's public sockets, also on those that were closed since.
+#[derive(Debug, Default)]
+pub(super) struct NetDrops {
+    overflow: AtomicU64,
+    prefilter: AtomicU64,
 }
 
 /// Datagrams that the kernel dropped on public sockets.
@@ -43,60 +64,92 @@ impl KernelDrops {
     }
 }
 
-impl Sum for KernelDrops {
-    fn sum<I: Iterator<Item = Self>>(drops: I) -> Self {
-        drops.fold(Self::default(), |sum, drops| Self {
-            overflow: sum.overflow + drops.overflow,
-            prefilter: sum.prefilter + drops.prefilter,
-        })
+impl NetDrops {
+    pub(super) fn get(&self) -> KernelDrops {
+        KernelDrops {
+            overflow: self.overflow.load(Relaxed),
+            prefilter: self.prefilter.load(Relaxed),
+        }
     }
 }
 
 impl PublicSocket {
-    pub(super) fn new(socket: Socket, mapping: MappingId, table: &Table, address: IpAddr) -> Self {
-        Self {
-            socket,
-            mapping,
-            net: table.mapping(mapping).net,
-            address,
-            filtered: AtomicBool::new(false),
-            seen: AtomicU32::new(0),
-            overflowed: AtomicU64::new(0),
-            refused: AtomicU64::new(0),
-        }
-    }
-
-    /// Turns the prefilter on or off.
-    pub(super) fn filter(&self, on: bool, table: &Table) -> io::Result<()> {
-        self.account(); // what was dropped so far belongs to the way it was so far
-        if on {
-            prefilter::attach(&self.socket, table, self.net)?;
-        } else {
-            prefilter::detach(&self.socket)?;
-        }
-        self.filtered.store(on, Relaxed);
-        Ok(())
+    pub(super) fn new(socket: Socket) -> Self {
+        Self { socket, filtered: AtomicBool::new(false), seen: Mutex::new(0) }
     }
 
     /// Whether the prefilter is on.
     pub(super) fn is_filtered(&self) -> bool {
         self.filtered.load(Relaxed)
     }
+}
 
-    /// What the kernel dropped since the socket was opened.
-    pub(super) fn drops(&self) -> KernelDrops {
-        self.account();
-        KernelDrops {
-            overflow: self.overflowed.load(Relaxed),
-            prefilter: self.refused.load(Relaxed),
-        }
+impl Listener {
+    /// The configured address; none when the socket serves all of the host's.
+    pub(super) fn own_address(&self) -> Option<IpAddr> {
+        Some(self.address.ip()).filter(|address| !address.is_unspecified())
     }
 
-    fn account(&self) {
+    /// Turns the prefilter on, with the program for the net as `table` has it, or off. A program
+    /// takes the place of another at once.
+    pub(super) fn filter(&self, on: bool, table: &Table) -> io::Result<()> {
+        self.account(); // what was dropped so far belongs to the way it was so far
+        let PublicSocket { socket, filtered, .. } = &*self.socket;
+        if on {
+            prefilter::attach(socket, table, self.net)?;
+        } else if filtered.load(Relaxed) {
+            prefilter::detach(socket)?;
+        }
+        filtered.store(on, Relaxed);
+        Ok(())
+    }
+
+    /// Datagrams that the kernel has dropped on the socket, whatever the cause. Starts again from 0
+    /// after 2³².
+    pub(super) fn kernel_figure(&self) -> io::Result<u32> {
+        socket::kernel_drops(&self.socket.socket)
+    }
+
+    /// Adds to the net's figures what the kernel dropped since the last call.
+    pub(super) fn account(&self) {
+        let mut seen = self.socket.seen.lock().unwrap_or_else(PoisonError::into_inner);
         // A figure that cannot be read now is read the next time.
-        let Ok(now) = socket::kernel_drops(&self.socket) else { return };
-        let new = now.wrapping_sub(self.seen.swap(now, Relaxed));
-        let counter = if self.is_filtered() { &self.refused } else { &self.overflowed };
+        let Ok(now) = self.kernel_figure() else { return };
+        let new = now.wrapping_sub(std::mem::replace(&mut *seen, now));
+        let NetDrops { overflow, prefilter } = &*self.drops;
+        let counter = if self.socket.is_filtered() { prefilter } else { overflow };
         counter.fetch_add(u64::from(new), Relaxed);
+    }
+}
+
+impl Listeners {
+    #[inline]
+    pub(super) fn get(&self, id: ListenerId) -> Option<&Listener> {
+        self.0.get(id.0 as usize)?.as_ref()
+    }
+
+    pub(super) fn iter(&self) -> impl Iterator<Item = (ListenerId, &Listener)> {
+        let places = (0..).map(ListenerId).zip(&self.0);
+        places.filter_map(|(id, listener)| Some((id, listener.as_ref()?)))
+    }
+
+    /// Places, empty ones included.
+    pub(super) fn places(&self) -> usize {
+        self.0.len()
+    }
+
+    /// Puts a listener in its place.
+    pub(super) fn put(&mut self, id: ListenerId, listener: Listener) {
+        let index = id.0 as usize;
+        if self.0.len() <= index {
+            self.0.resize_with(index + 1, || None);
+        }
+        self.0[index] = Some(listener);
+    }
+
+    /// Whether the socket in this place is the same in both.
+    pub(super) fn keeps(&self, id: ListenerId, other: &Self) -> bool {
+        let (here, there) = (self.get(id), other.get(id));
+        here.zip(there).is_some_and(|(here, there)| Arc::ptr_eq(&here.socket, &there.socket))
     }
 }

@@ -1,26 +1,29 @@
 //! The router as the rest of the program sees it: started with a configuration, asked for figures,
-//! stopped.
+//! given another configuration, stopped.
 //!
 //! Every socket is bound before the first worker runs, so a router starts whole or not at all.
 
 use std::io;
-use std::net::SocketAddr;
+use std::iter;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{self, Sender};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::mpsc::{self, Sender, SyncSender};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
+use nix::sys::epoll::{Epoll, EpollCreateFlags};
 use nix::sys::eventfd::{EfdFlags, EventFd};
 
-use crate::config::{Config, Prefilter};
-use crate::relay::{Core, Counters, FlowRecord, NetId, Rules};
+use crate::config::Config;
+use crate::relay::{Core, Counters, FlowRecord, Rules};
 
 use super::audit::Audit;
-use super::descriptors::{self, Plan, TooFewDescriptors};
-use super::public::{KernelDrops, PublicSocket};
-use super::socket;
-use super::worker::{Command, Parts, Worker};
+use super::bind::{self, StartError};
+use super::descriptors::{self, Plan};
+use super::in_force::InForce;
+use super::public::{Listeners, NetDrops};
+use super::reload::LastReload;
+use super::worker::{self, Command, Parts, Worker};
 
 /// How long a worker may take to tell its flows.
 const ANSWER_TIME: Duration = Duration::from_secs(1);
@@ -28,51 +31,23 @@ const ANSWER_TIME: Duration = Duration::from_secs(1);
 /// A running router.
 #[derive(Debug)]
 pub struct Router {
-    config: Config,
-    counters: Vec<Arc<Counters>>,
+    pub(super) in_force: RwLock<Arc<InForce>>,
+    pub(super) last_reload: Mutex<LastReload>,
+    /// Held while the workers go over to another configuration, or are told to end.
+    pub(super) changing: Mutex<()>,
     audit: Arc<Audit>,
-    /// Of every worker, to ask the kernel about.
-    public: Vec<Arc<[PublicSocket]>>,
-    workers: Vec<Handle>,
+    pub(super) workers: Vec<Handle>,
     threads: Mutex<Vec<JoinHandle<()>>>,
     ready: AtomicBool,
     started: Instant,
 }
 
-/// The way to ask a worker for something.
+/// The way to a worker.
 #[derive(Debug)]
-struct Handle {
+pub(super) struct Handle {
     commands: Sender<Command>,
     wake: Arc<EventFd>,
-}
-
-/// Why a router did not start.
-#[derive(Debug, thiserror::Error)]
-pub enum StartError {
-    /// The process may not have enough file descriptors.
-    #[error(transparent)]
-    Descriptors(#[from] TooFewDescriptors),
-    /// Another program has the port.
-    #[error("UDP port {0} is in use; stop what uses it (ss -lunp), or choose another port")]
-    PortInUse(SocketAddr),
-    /// The address is not the host's.
-    #[error(
-        "{} is no address of this host; correct [public] listen (ip address shows what there is)",
-        .0.ip()
-    )]
-    NotOurAddress(SocketAddr),
-    /// A port below 1024 without the capability for it.
-    #[error(
-        "UDP port {0} needs CAP_NET_BIND_SERVICE, which is given up after the start; choose ports \
-         above 1023, or restart with that capability"
-    )]
-    NotPermitted(SocketAddr),
-    /// Another error of the system.
-    #[error("cannot listen on UDP {0}")]
-    Listen(SocketAddr, #[source] io::Error),
-    /// Another error of the system, not about one address.
-    #[error("cannot start a worker")]
-    Worker(#[from] io::Error),
+    pub(super) epoll: Arc<Epoll>,
 }
 
 /// A router with all of its sockets and none of its threads.
@@ -105,25 +80,35 @@ impl Router {
     /// Binds every socket, and starts no thread yet.
     pub fn bind(config: Config) -> Result<Bound, StartError> {
         let started = Instant::now();
-        let addresses = config.table.mappings().len() * config.listen.len();
-        let plan = descriptors::plan(addresses, config.runtime.workers)?;
-        let public = bind(&config, plan.workers)?;
+        let plan = descriptors::plan(addresses(&config), config.runtime.workers)?;
+        let drops: Vec<Arc<NetDrops>> =
+            config.table.nets().iter().map(|_| Arc::default()).collect();
+        let listeners = bind::open(&config, &drops, &[], plan.workers)?;
+        bind::tell_short_buffers(&config, &listeners);
 
         let rules = Rules::new(Arc::clone(&config.table), config.limits);
         let audit = Arc::new(Audit::new(config.runtime.audit_lines));
-        let mut router = Self {
-            config,
+        let (mut handles, mut counters, mut workers) = (Vec::new(), Vec::new(), Vec::new());
+        for listeners in &listeners {
+            let counter = Arc::new(Counters::new(&config.table));
+            let core =
+                Core::new(rules.clone(), Arc::clone(&counter), started, fastrand::Rng::new());
+            let (handle, worker) =
+                build_worker(&config, core, listeners.clone(), &plan, started, &audit)?;
+            handles.push(handle);
+            counters.push(counter);
+            workers.push(worker);
+        }
+        let router = Self {
+            in_force: RwLock::new(Arc::new(InForce::new(config, counters, drops, listeners))),
+            last_reload: Mutex::new(LastReload::succeeded()),
+            changing: Mutex::default(),
             audit,
-            counters: Vec::new(),
-            public,
-            workers: Vec::new(),
+            workers: handles,
             threads: Mutex::default(),
             ready: AtomicBool::new(false),
             started,
         };
-        let workers = (0..plan.workers)
-            .map(|index| router.build_worker(index, &plan, rules.clone()))
-            .collect::<io::Result<_>>()?;
         Ok(Bound { router, workers })
     }
 
@@ -131,12 +116,13 @@ impl Router {
     #[cfg(test)]
     pub(crate) fn idle(config: Config, workers: usize) -> Arc<Self> {
         let counters = (0..workers).map(|_| Arc::new(Counters::new(&config.table))).collect();
+        let drops = config.table.nets().iter().map(|_| Arc::default()).collect();
         let audit = Arc::new(Audit::new(config.runtime.audit_lines));
         Arc::new(Self {
-            config,
+            in_force: RwLock::new(Arc::new(InForce::new(config, counters, drops, Vec::new()))),
+            last_reload: Mutex::new(LastReload::succeeded()),
+            changing: Mutex::default(),
             audit,
-            counters,
-            public: Vec::new(),
             workers: Vec::new(),
             threads: Mutex::default(),
             ready: AtomicBool::new(false),
@@ -148,22 +134,25 @@ impl Router {
     /// time, and ends the workers. Blocks until they have ended.
     pub fn shut_down(&self) {
         self.ready.store(false, Ordering::Release);
-        let end = Instant::now() + self.config.runtime.drain;
-        self.workers.iter().for_each(|worker| worker.ask(Command::Drain(end)));
+        {
+            let _unchanged = lock(&self.changing);
+            let end = Instant::now() + self.in_force().config.runtime.drain;
+            self.workers.iter().for_each(|worker| worker.ask(Command::Drain(end)));
+        }
         for thread in lock(&self.threads).drain(..) {
             // A worker that panicked has told so itself.
             let _ = thread.join();
         }
     }
 
-    /// The configuration in force.
-    pub fn config(&self) -> &Config {
-        &self.config
+    /// The configuration in force, with its counters.
+    pub fn in_force(&self) -> Arc<InForce> {
+        Arc::clone(&self.in_force.read().unwrap_or_else(PoisonError::into_inner))
     }
 
-    /// The counters of each worker; a figure of the router is their sum.
-    pub fn counters(&self) -> &[Arc<Counters>] {
-        &self.counters
+    /// How the last reload went.
+    pub fn last_reload(&self) -> LastReload {
+        *lock(&self.last_reload)
     }
 
     /// What bounds the audit log.
@@ -182,52 +171,34 @@ impl Router {
         self.started
     }
 
-    /// Datagrams that the kernel dropped on a net's public sockets.
-    pub fn kernel_drops(&self, net: NetId) -> KernelDrops {
-        let sockets = self.public.iter().flat_map(|sockets| sockets.iter());
-        sockets.filter(|public| public.net == net).map(PublicSocket::drops).sum()
-    }
-
-    /// Up to `limit` open flows. Asks the workers, and waits for them a second at most.
-    pub fn flows(&self, limit: usize) -> Vec<FlowRecord> {
-        let (reply, answers) = mpsc::sync_channel(self.workers.len());
-        for worker in &self.workers {
-            worker.ask(Command::Flows(limit, reply.clone()));
-        }
-        drop(reply);
-        let end = Instant::now() + ANSWER_TIME;
-        let mut flows = Vec::new();
-        while let Ok(more) = answers.recv_timeout(end.saturating_duration_since(Instant::now())) {
-            flows.extend(more);
-        }
+    /// Up to `limit` open flows, and the configuration that they belong to. Asks the workers, and
+    /// waits for them a second at most.
+    pub fn flows(&self, limit: usize) -> (Arc<InForce>, Vec<FlowRecord>) {
+        let _unchanged = lock(&self.changing);
+        let answers = self.ask(ANSWER_TIME, |reply| Command::Flows(limit, reply));
+        let mut flows: Vec<_> = answers.into_iter().flatten().collect();
         flows.truncate(limit);
-        flows
+        (self.in_force(), flows)
     }
 
-    fn build_worker(&mut self, index: usize, plan: &Plan, rules: Rules) -> io::Result<Worker> {
-        let counters = Arc::new(Counters::new(&self.config.table));
-        let flags = EfdFlags::EFD_NONBLOCK | EfdFlags::EFD_CLOEXEC;
-        let wake = Arc::new(EventFd::from_flags(flags)?);
-        let (commands, inbox) = mpsc::channel();
-        self.counters.push(Arc::clone(&counters));
-        self.workers.push(Handle { commands, wake: Arc::clone(&wake) });
-        let core = Core::new(rules, counters, self.started, fastrand::Rng::new());
-        Worker::new(Parts {
-            core,
-            public: Arc::clone(&self.public[index]),
-            table: Arc::clone(&self.config.table),
-            audit: Arc::clone(&self.audit),
-            upstream_limit: plan.upstreams,
-            runtime: self.config.runtime.clone(),
-            started: self.started,
-            commands: inbox,
-            wake,
-        })
+    /// Whether every worker answers within this time.
+    pub fn is_alive(&self, within: Duration) -> bool {
+        self.ask(within, Command::Ping).len() == self.workers.len()
+    }
+
+    /// What the workers answer within this time.
+    fn ask<T>(&self, time: Duration, command: impl Fn(SyncSender<T>) -> Command) -> Vec<T> {
+        let (reply, answers) = mpsc::sync_channel(self.workers.len());
+        self.workers.iter().for_each(|worker| worker.ask(command(reply.clone())));
+        drop(reply);
+        let end = Instant::now() + time;
+        let next = || answers.recv_timeout(end.saturating_duration_since(Instant::now())).ok();
+        iter::from_fn(next).collect()
     }
 }
 
 impl Handle {
-    fn ask(&self, command: Command) {
+    pub(super) fn ask(&self, command: Command) {
         // A worker that has ended answers nothing; its channel is closed.
         if self.commands.send(command).is_ok() {
             let _ = self.wake.write(1);
@@ -235,48 +206,67 @@ impl Handle {
     }
 }
 
-/// Opens all public sockets, for each worker those of every port and address.
-fn bind(config: &Config, workers: usize) -> Result<Vec<Arc<[PublicSocket]>>, StartError> {
-    let mut public: Vec<_> = (0..workers).map(|_| Vec::new()).collect();
-    let mut granted = config.runtime.receive_buffer;
-    for (mapping, id) in config.table.mappings().iter().zip(config.table.mapping_ids()) {
-        for &address in &config.listen {
-            let listen = SocketAddr::new(address, mapping.public_port);
-            let sockets = socket::public(listen, workers, config.runtime.receive_buffer)
-                .map_err(|error| StartError::listen(listen, error))?;
-            for (worker, socket) in public.iter_mut().zip(sockets) {
-                granted = granted.min(socket::receive_buffer(&socket).unwrap_or(granted));
-                let socket = PublicSocket::new(socket, id, &config.table, address);
-                if config.runtime.prefilter == Prefilter::Always {
-                    let on = socket.filter(true, &config.table);
-                    on.map_err(|error| StartError::Listen(listen, error))?;
-                }
-                worker.push(socket);
-            }
-        }
-    }
-    if granted < config.runtime.receive_buffer {
-        tracing::warn!(
-            asked_octets = config.runtime.receive_buffer,
-            granted_octets = granted,
-            "receive buffers are shorter than configured; raise net.core.rmem_max"
-        );
-    }
-    Ok(public.into_iter().map(Arc::from).collect())
+/// A worker and the way to it.
+fn build_worker(
+    config: &Config,
+    core: Core,
+    listeners: Listeners,
+    plan: &Plan,
+    started: Instant,
+    audit: &Arc<Audit>,
+) -> Result<(Handle, Worker), StartError> {
+    let epoll = Arc::new(Epoll::new(EpollCreateFlags::EPOLL_CLOEXEC).map_err(io::Error::from)?);
+    worker::watch(&epoll, &listeners, &Listeners::default())?;
+    let flags = EfdFlags::EFD_NONBLOCK | EfdFlags::EFD_CLOEXEC;
+    let wake = Arc::new(EventFd::from_flags(flags).map_err(io::Error::from)?);
+    let (commands, inbox) = mpsc::channel();
+    let handle = Handle { commands, wake: Arc::clone(&wake), epoll: Arc::clone(&epoll) };
+    let worker = Worker::new(Parts {
+        core,
+        listeners,
+        table: Arc::clone(&config.table),
+        audit: Arc::clone(audit),
+        upstream_limit: plan.upstreams,
+        runtime: config.runtime.clone(),
+        started,
+        commands: inbox,
+        epoll,
+        wake,
+    })?;
+    Ok((handle, worker))
 }
 
-impl StartError {
-    fn listen(address: SocketAddr, error: io::Error) -> Self {
-        match error.kind() {
-            io::ErrorKind::AddrInUse => Self::PortInUse(address),
-            io::ErrorKind::AddrNotAvailable => Self::NotOurAddress(address),
-            io::ErrorKind::PermissionDenied => Self::NotPermitted(address),
-            _ => Self::Listen(address, error),
-        }
-    }
+/// Sockets that each worker needs for its public ports.
+pub(super) fn addresses(config: &Config) -> usize {
+    config.table.mappings().len() * config.listen.len()
 }
 
-/// What a poisoned lock guards here is whole all the same: a list of threads.
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+/// What a poisoned lock guards here is whole all the same: it is changed in one step.
+pub(super) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use super::*;
+    use crate::config;
+
+    #[test]
+    fn is_alive_as_long_as_every_worker_answers() {
+        let text = "[public]\nlisten = [\"127.0.0.1\"]\n[runtime]\nworkers = 2\n\
+                    [[server]]\nname = \"press\"\npublic_port = 20999\nnode = 7\n\
+                    address = \"127.9.9.7:34379\"\nallow = [\"127.0.0.1\"]\n\
+                    allow_without_password = true";
+        let read = || config::parse(text, Path::new("pnet-nat.toml"));
+        let router = Router::start(read().unwrap().0).unwrap();
+        assert!(router.is_alive(Duration::from_secs(20)));
+        let changes = router.reload(read().map(|(config, _)| config)).unwrap();
+        assert_eq!(changes, config::Changes::default());
+        router.shut_down();
+        assert!(!router.is_alive(Duration::from_secs(20)), "they have ended");
+        let refused = router.reload(read().map(|(config, _)| config)).unwrap_err();
+        assert_eq!(refused.to_string(), "the relay is stopping");
+    }
 }

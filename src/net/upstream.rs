@@ -23,6 +23,7 @@ pub(super) struct UpstreamSockets {
     /// By [`UpstreamId`].
     sockets: Vec<Option<Socket>>,
     open: usize,
+    flows_closed: usize,
     limit: usize,
     receive_buffer: usize,
     table: Arc<Table>,
@@ -40,16 +41,25 @@ impl UpstreamSockets {
         audit: Arc<Audit>,
     ) -> Self {
         let complaints = Complaints::default();
-        Self {
-            epoll,
-            sockets: Vec::new(),
-            open: 0,
-            limit,
-            receive_buffer,
-            table,
-            audit,
-            complaints,
+        let (sockets, open, flows_closed) = (Vec::new(), 0, 0);
+        Self { epoll, sockets, open, flows_closed, limit, receive_buffer, table, audit, complaints }
+    }
+
+    /// Goes over to another configuration. Sockets beyond a lower limit stay open.
+    pub(super) fn reload(&mut self, limit: usize, receive_buffer: usize, table: Arc<Table>) {
+        if receive_buffer != self.receive_buffer {
+            for socket in self.sockets.iter().flatten() {
+                if let Err(error) = socket.set_recv_buffer_size(receive_buffer) {
+                    self.complaints.note(&error, "cannot change a receive buffer");
+                }
+            }
         }
+        (self.limit, self.receive_buffer, self.table) = (limit, receive_buffer, table);
+    }
+
+    /// Flows closed so far.
+    pub(super) fn flows_closed(&self) -> usize {
+        self.flows_closed
     }
 
     /// The socket with this index, if it is open.
@@ -72,7 +82,7 @@ impl UpstreamSockets {
 
 impl Shell for UpstreamSockets {
     fn open_upstream(&mut self, id: UpstreamId, ipv4: bool) -> Option<u16> {
-        if self.open == self.limit {
+        if self.open >= self.limit {
             return None; // counted as upstream_exhausted, and told by the log's summary
         }
         match self.open(id, ipv4) {
@@ -96,6 +106,7 @@ impl Shell for UpstreamSockets {
     }
 
     fn flow_closed(&mut self, flow: &FlowRecord, reason: CloseReason) {
+        self.flows_closed += 1;
         self.audit.flow_closed(&self.table, flow, reason);
     }
 

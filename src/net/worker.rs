@@ -5,25 +5,29 @@
 //! starve the others, nor the responses.
 
 use std::io;
+use std::mem;
 use std::os::fd::AsFd;
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, SyncSender};
 use std::time::{Duration, Instant};
 
-use nix::sys::epoll::{Epoll, EpollCreateFlags, EpollEvent, EpollTimeout};
+use nix::sys::epoll::{Epoll, EpollEvent, EpollTimeout};
 use nix::sys::eventfd::EventFd;
 
 use crate::config::Runtime;
-use crate::relay::{Arrival, Core, Direction, FlowRecord, ListenerId, Table, UpstreamId};
+use crate::relay::{
+    Arrival, Core, Counters, Direction, FlowRecord, ListenerId, Rules, Table, UpstreamId,
+};
 
 use super::audit::Audit;
 use super::batch::{AT_ONCE, Batch, Tag};
+use super::bind::StartError;
 use super::busy::BusyPoll;
 use super::complaints::Complaints;
 use super::flood::FloodGuard;
 use super::place::Place;
 use super::prefilter;
-use super::public::PublicSocket;
+use super::public::{Listener, Listeners};
 use super::upstream::UpstreamSockets;
 
 /// How often flows are looked through for idle ones.
@@ -35,21 +39,41 @@ const EVENTS: usize = 256;
 
 /// What a worker is asked to do.
 pub(super) enum Command {
+    /// Say that you are alive.
+    Ping(SyncSender<()>),
     /// Send up to so many flows.
     Flows(usize, SyncSender<Vec<FlowRecord>>),
+    /// Go over to another configuration.
+    Reload(Box<Next>, SyncSender<Reloaded>),
     /// Take no more requests, wait for answers until then at the latest, and end.
     Drain(Instant),
+}
+
+/// What a worker needs of another configuration.
+pub(super) struct Next {
+    pub rules: Rules,
+    pub listeners: Listeners,
+    pub upstream_limit: usize,
+    pub runtime: Runtime,
+}
+
+/// What came of going over to it.
+pub(super) struct Reloaded {
+    /// Those that count from now on.
+    pub counters: Arc<Counters>,
+    pub flows_closed: usize,
 }
 
 /// Everything one worker thread owns.
 pub(super) struct Worker {
     core: Core,
-    public: Arc<[PublicSocket]>,
+    listeners: Listeners,
     upstream: UpstreamSockets,
     epoll: Arc<Epoll>,
     batch: Batch,
-    /// Sockets that may have more than their last batch. The kernel tells of a socket only when
-    /// something arrives there, so it does not tell of these.
+    /// Sockets that may have more than their last batch, or had something before they had their
+    /// place. The kernel tells of a socket only when something arrives there, so it does not tell
+    /// of these.
     unfinished: Vec<Place>,
     commands: Receiver<Command>,
     drain_until: Option<Instant>,
@@ -63,37 +87,48 @@ pub(super) struct Worker {
 /// What a worker is built from.
 pub(super) struct Parts {
     pub core: Core,
-    pub public: Arc<[PublicSocket]>,
+    /// Watched by `epoll` already.
+    pub listeners: Listeners,
     pub table: Arc<Table>,
     pub audit: Arc<Audit>,
     pub upstream_limit: usize,
     pub runtime: Runtime,
     pub started: Instant,
     pub commands: Receiver<Command>,
+    pub epoll: Arc<Epoll>,
     pub wake: Arc<EventFd>,
+}
+
+/// Has `epoll` tell of what arrives at the sockets that are not in `before`.
+pub(super) fn watch(
+    epoll: &Epoll,
+    listeners: &Listeners,
+    before: &Listeners,
+) -> Result<(), StartError> {
+    for (id, listener) in listeners.iter().filter(|&(id, _)| !listeners.keeps(id, before)) {
+        epoll
+            .add(&listener.socket.socket, Place::Public(id).arrivals())
+            .map_err(|error| StartError::Watch(error.into()))?;
+    }
+    Ok(())
 }
 
 impl Worker {
     pub(super) fn new(parts: Parts) -> io::Result<Self> {
-        let epoll = Arc::new(Epoll::new(EpollCreateFlags::EPOLL_CLOEXEC)?);
-        epoll.add(&*parts.wake, Place::Wake.arrivals())?;
-        for (id, public) in (0..).map(ListenerId).zip(parts.public.iter()) {
-            epoll.add(&public.socket, Place::Public(id).arrivals())?;
-        }
-        let prefilter = parts.runtime.prefilter;
-        let floods =
-            FloodGuard::new(prefilter, parts.public.len(), parts.table.clone(), parts.started);
+        parts.epoll.add(&*parts.wake, Place::Wake.arrivals())?;
+        let (prefilter, places) = (parts.runtime.prefilter, parts.listeners.places());
+        let floods = FloodGuard::new(prefilter, places, parts.table.clone(), parts.started);
         Ok(Self {
             core: parts.core,
-            public: parts.public,
+            listeners: parts.listeners,
             upstream: UpstreamSockets::new(
-                Arc::clone(&epoll),
+                Arc::clone(&parts.epoll),
                 parts.upstream_limit,
                 parts.runtime.receive_buffer,
-                Arc::clone(&parts.table),
+                parts.table,
                 parts.audit,
             ),
-            epoll,
+            epoll: parts.epoll,
             batch: Batch::new(),
             unfinished: Vec::new(),
             commands: parts.commands,
@@ -120,7 +155,7 @@ impl Worker {
                 }
             };
             let now = Instant::now();
-            std::mem::swap(&mut self.unfinished, &mut unfinished);
+            mem::swap(&mut self.unfinished, &mut unfinished);
             for event in &events[..ready] {
                 self.take(Place::from_key(event.data()), now);
             }
@@ -129,7 +164,7 @@ impl Worker {
             self.busy.note(now, ready);
             if now >= self.next_tick {
                 self.core.expire(now, &mut self.upstream);
-                self.floods.look(&self.public);
+                self.floods.look(&self.listeners);
                 self.next_tick = now + TICK;
             }
             if let Some(end) = self.drain_until
@@ -156,7 +191,7 @@ impl Worker {
             Place::Public(_) if self.drain_until.is_some() => return,
             Place::Public(id) => self.take_requests(id, now),
             Place::Upstream(id) => self.take_responses(id, now),
-            Place::Wake => return self.obey(),
+            Place::Wake => return self.obey(now),
         };
         self.batch.keep(received);
         if received == AT_ONCE {
@@ -165,8 +200,9 @@ impl Worker {
     }
 
     fn take_requests(&mut self, id: ListenerId, now: Instant) -> usize {
-        let public = &self.public[id.0 as usize];
-        let received = self.batch.receive(public.socket.as_fd());
+        // Its socket may be closed, or not have its place yet.
+        let Some(listener) = self.listeners.get(id) else { return 0 };
+        let received = self.batch.receive(listener.socket.socket.as_fd());
         let received = received.unwrap_or_else(|error| {
             self.complaints.note(&error, "cannot receive on a public socket");
             0
@@ -176,15 +212,15 @@ impl Worker {
             let Some(incoming) = self.batch.incoming(index) else { continue };
             let arrival = Arrival {
                 listener: id,
-                mapping: public.mapping,
-                public_address: incoming.to.unwrap_or(public.address),
+                mapping: listener.mapping,
+                public_address: incoming.to.unwrap_or(listener.address.ip()),
                 client: incoming.from,
             };
             let (slot, octets) = (incoming.slot, incoming.octets.len());
             let verdict = self.core.request(now, &arrival, incoming.octets, &mut self.upstream);
             match verdict {
                 Ok(to) => {
-                    let (mapping, direction) = (public.mapping, Direction::Request);
+                    let (mapping, direction) = (listener.mapping, Direction::Request);
                     let tag = Tag { mapping, direction, octets };
                     self.batch.queue(slot, Place::Upstream(to.via).key(), None, to.server, tag);
                 }
@@ -192,7 +228,7 @@ impl Worker {
             }
         }
         if spared > 0 {
-            self.floods.note(id, public, now, spared);
+            self.floods.note(id, listener, now, spared);
         }
         received
     }
@@ -208,8 +244,8 @@ impl Worker {
             let (slot, octets) = (incoming.slot, incoming.octets.len());
             if let Ok(to) = self.core.response(now, id, incoming.from, incoming.octets) {
                 let tag = Tag { mapping: to.mapping, direction: Direction::Response, octets };
-                let shared = self.public[to.via.0 as usize].address.is_unspecified();
-                let from = shared.then_some(to.public_address);
+                let own = self.listeners.get(to.via).and_then(Listener::own_address);
+                let from = own.is_none().then_some(to.public_address);
                 self.batch.queue(slot, Place::Public(to.via).key(), from, to.client, tag);
             }
         }
@@ -223,10 +259,10 @@ impl Worker {
     }
 
     fn flush(&mut self) {
-        let (public, upstream) = (&self.public, &self.upstream);
+        let (listeners, upstream) = (&self.listeners, &self.upstream);
         self.batch.flush(
             |key| match Place::from_key(key) {
-                Place::Public(id) => Some(public[id.0 as usize].socket.as_fd()),
+                Place::Public(id) => Some(listeners.get(id)?.socket.socket.as_fd()),
                 Place::Upstream(id) => upstream.get(id),
                 Place::Wake => None,
             },
@@ -246,23 +282,49 @@ impl Worker {
         );
     }
 
-    fn obey(&mut self) {
+    fn obey(&mut self, now: Instant) {
         // Only now is the flag down: what is asked from here on wakes us again.
         let _ = self.wake.read();
         while let Ok(command) = self.commands.try_recv() {
+            // Who asked may have gone; then nobody wants to know.
             match command {
+                Command::Ping(reply) => _ = reply.try_send(()),
                 Command::Flows(limit, reply) => {
-                    let flows = self.core.flows(Instant::now()).take(limit).collect();
-                    // Who asked may have gone; then nobody wants to know.
-                    let _ = reply.try_send(flows);
+                    _ = reply.try_send(self.core.flows(now).take(limit).collect());
                 }
+                Command::Reload(next, reply) => _ = reply.try_send(self.reload(*next, now)),
                 Command::Drain(end) => {
                     self.drain_until = Some(end);
-                    for public in self.public.iter() {
-                        let _ = self.epoll.delete(&public.socket);
+                    for (_, listener) in self.listeners.iter() {
+                        let _ = self.epoll.delete(&listener.socket.socket);
                     }
                 }
             }
         }
+    }
+
+    /// Goes over to another configuration, between two datagrams.
+    fn reload(&mut self, next: Next, now: Instant) -> Reloaded {
+        self.flush(); // what waits to be sent is counted under the table that it came by
+        let Next { rules, listeners, upstream_limit, runtime } = next;
+        let before = mem::replace(&mut self.listeners, listeners);
+        let after = &self.listeners;
+        let place = |id| after.keeps(id, &before).then_some(id);
+        let closed = self.upstream.flows_closed();
+        let counters = self.core.reload(now, &rules, place, &mut self.upstream);
+        let flows_closed = self.upstream.flows_closed() - closed;
+
+        let table = rules.table;
+        for (id, was) in before.iter() {
+            if after.get(id).is_none_or(|is| !Arc::ptr_eq(&is.drops, &was.drops)) {
+                was.account();
+            }
+        }
+        self.floods.reload(runtime.prefilter, Arc::clone(&table), &before, after);
+        let new = after.iter().filter(|&(id, _)| !after.keeps(id, &before));
+        self.unfinished.extend(new.map(|(id, _)| Place::Public(id)));
+        self.upstream.reload(upstream_limit, runtime.receive_buffer, table);
+        self.busy = BusyPoll::new(runtime.busy_poll);
+        Reloaded { counters, flows_closed }
     }
 }

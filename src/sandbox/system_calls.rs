@@ -20,6 +20,8 @@ const ALLOWED: &[libc::c_long] = &[
     // Datagrams and connections
     libc::SYS_accept4,
     libc::SYS_bind,
+    // To the service manager: new sockets are of datagrams, and Landlock keeps TCP from it
+    libc::SYS_connect,
     libc::SYS_getsockname,
     libc::SYS_getsockopt,
     libc::SYS_recvfrom,

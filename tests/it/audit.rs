@@ -40,6 +40,9 @@ fn every_event_of_the_readme_is_written_as_it_says() {
     for _ in 0..20 {
         exchange(&site.client(), site.public(4), &node, 4);
     }
+    relay.reload();
+    relay.configure("no TOML");
+    relay.reload();
     let log = relay.finish();
     for (event, level, fields) in events() {
         let line = log.logged(&event).pop().unwrap_or_else(|| panic!("{event}: {}", log.stderr()));

@@ -51,6 +51,37 @@ fn a_flood_is_refused_by_the_kernel_and_good_clients_go_on() {
     assert_eq!(log.logged("flood: prefilter on").len(), 1, "{}", log.stderr());
 }
 
+/// The kernel knows the new password at once, and what it refused stays counted.
+#[test]
+fn a_password_that_is_added_during_a_flood_passes() {
+    let site = Site::claim();
+    let relay = site.relay(Settings::default());
+    let (client, node) = (site.client(), site.node(4));
+    exchange(&client, site.public(4), &node, 4);
+    flood(&site, &relay);
+    let refused = || relay.metrics().sum(KERNEL, &[("cause", "prefilter")]);
+    let before = refused();
+
+    let passwords = "[[udp_range_net.password]]\nname = \"first\"\nfile = \"secrets/section-1\"\n\
+                     [[udp_range_net.password]]\nname = \"second\"\nfile = \"secrets/press\"";
+    relay.reload_to(&site.configuration(&Settings { passwords, ..Settings::default() }));
+    let second = datagram(&FIGURE_10, &[], SECOND);
+    client.send(site.public(4), &second);
+    node.expect(&second);
+    client.send(site.public(4), &datagram(&FIGURE_10, &[], WRONG));
+    eventually("the prefilter is still on", || (refused() == before + 1).then_some(()));
+
+    // Without the flooded port, and with it again.
+    client.send(site.public(4), &datagram(&FIGURE_10, &[], WRONG));
+    let all = site.configuration(&Settings::default());
+    relay.reload_to(&all.replace("\"1-4\", 33", "\"1-3\", 33"));
+    assert_eq!(refused(), before + 2);
+    relay.reload_to(&all);
+    exchange(&client, site.public(4), &node, 4);
+    assert_eq!(refused(), before + 2);
+    relay.finish();
+}
+
 /// With every password of the net, and with a device's own password behind it.
 #[test]
 fn the_prefilter_lets_every_password_of_the_net_through() {

@@ -18,6 +18,7 @@ mod harness;
 mod namespaces;
 mod nat;
 mod relaying;
+mod reloading;
 mod scale;
 mod stopping;
 mod tunnel;

@@ -2,11 +2,13 @@
 
 use std::fmt::Write;
 use std::fs;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::Relaxed};
+use std::thread;
 use std::time::{Duration, Instant};
 
 use nix::sys::resource::{Resource, getrlimit};
 
-use crate::harness::{Peer, Relay, Site, exchange, left_out, pause};
+use crate::harness::{Over, Peer, Relay, Site, eventually, exchange, left_out, pause};
 
 const SECTIONS: u16 = 64;
 const DESCRIPTORS: u64 = 20_000;
@@ -22,7 +24,7 @@ fn eight_thousand_public_ports() {
     }
     let site = Site::claim();
     let start = Instant::now();
-    let relay = Relay::start(&configuration(&site), site.admin(), Some(DESCRIPTORS));
+    let relay = Relay::start(&configuration(&site, SECTIONS), site.admin(), Some(DESCRIPTORS));
     let started = start.elapsed();
     assert!(started < START_TIME, "ready after {started:?}");
 
@@ -44,7 +46,44 @@ fn eight_thousand_public_ports() {
     println!(
         "8,000 public ports: ready after {started:?}, {memory}, idling {used:?} of {elapsed:?}"
     );
+    reload_beside_a_client(&site, &relay);
     relay.finish();
+}
+
+/// A client polls the first node while the last section goes and comes back.
+fn reload_beside_a_client(site: &Site, relay: &Relay) {
+    let (client, node) = (site.client(), Peer::bind((site.address(1), 34379).into()));
+    let public = (site.public_address(), start_port(0) + 1).into();
+    let (answers, over) = (AtomicU64::new(0), AtomicBool::new(false));
+    let longest = AtomicU64::new(0);
+    let (all, less) = (configuration(site, SECTIONS), configuration(site, SECTIONS - 1));
+    thread::scope(|scope| {
+        let polling = scope.spawn(|| {
+            while !over.load(Relaxed) {
+                let asked = Instant::now();
+                exchange(&client, public, &node, 1);
+                longest.fetch_max(asked.elapsed().as_millis() as u64, Relaxed);
+                answers.fetch_add(1, Relaxed);
+            }
+        });
+        let over = Over(&over);
+        // The last section has the flow of the exchange above.
+        for (configuration, closed) in [(&less, 1), (&all, 0), (&less, 0), (&all, 0)] {
+            let asked = answers.load(Relaxed);
+            let start = Instant::now();
+            let line = relay.reload_to(configuration);
+            let took = start.elapsed();
+            assert!(took < START_TIME, "{took:?}");
+            println!("8,000 public ports, 125 of them changed: reload in {took:?}");
+            assert_eq!(line["flows_closed"], closed, "{line}");
+            eventually("the client goes on", || {
+                (answers.load(Relaxed) > asked + 5 || polling.is_finished()).then_some(())
+            });
+        }
+        drop(over);
+    });
+    println!("meanwhile, the longest of {answers:?} exchanges took {longest:?} ms");
+    relay.expect_drops(&[]);
 }
 
 fn start_port(section: u16) -> u16 {
@@ -60,12 +99,12 @@ fn server_address(site: &Site, section: u16, node_address: u8) -> std::net::Ipv4
     }
 }
 
-fn configuration(site: &Site) -> String {
+fn configuration(site: &Site, sections: u16) -> String {
     let (public, subnet, admin) = (site.public_address(), site.address(0), site.admin());
     let mut configuration = format!(
         "[public]\nlisten = [\"{public}\"]\n[runtime]\nworkers = 2\n[admin]\nlisten = \"{admin}\"\n"
     );
-    for section in 0..SECTIONS {
+    for section in 0..sections {
         write!(
             configuration,
             "[[udp_range_net]]\nname = \"section-{section}\"\nstart_port = {}\nsubnet = \"{}\"\n\

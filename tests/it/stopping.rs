@@ -8,8 +8,7 @@ use std::time::{Duration, Instant};
 use nix::sys::signal::Signal;
 
 use crate::harness::{
-    PASSWORD, Peer, Process, Relay, Settings, Site, datagram, eventually, exchange, pause,
-    pnet_nat, request, response,
+    PASSWORD, Peer, Relay, Settings, Site, datagram, eventually, exchange, pause, request, response,
 };
 
 fn is_ready(relay: &Relay) -> Option<bool> {
@@ -112,16 +111,6 @@ fn without_an_answer_due_it_ends_at_once() {
 }
 
 #[test]
-fn a_hangup_does_not_end_it() {
-    let site = Site::claim();
-    let relay = site.relay(Settings::default());
-    let (client, node) = (site.client(), site.node(4));
-    relay.process.signal(Signal::SIGHUP);
-    exchange(&client, site.public(4), &node, 4);
-    relay.finish();
-}
-
-#[test]
 fn a_second_signal_ends_it_at_once() {
     let site = Site::claim();
     let mut relay =
@@ -145,7 +134,7 @@ fn a_relay_under_load_ends_within_its_drain_time() {
     let site = Site::claim();
     let mut relay =
         site.relay(Settings { runtime: "workers = 2\ndrain = \"10s\"", ..Settings::default() });
-    let mut nodes = start_nodes(&site, "20ms");
+    let mut nodes = site.simulated_nodes("20ms");
     let clients: Vec<_> = (0..8).map(|_| site.client()).collect();
     let (answers, over) = (AtomicU64::new(0), AtomicBool::new(false));
     thread::scope(|scope| {
@@ -165,18 +154,6 @@ fn a_relay_under_load_ends_within_its_drain_time() {
     nodes.signal(Signal::SIGTERM);
     assert_eq!(nodes.end(), Some(0));
     assert_eq!(answered_by(&nodes.stdout()), answers.load(Relaxed), "{}", nodes.stdout());
-}
-
-/// `pnet-nat node` for nodes 1 to 4.
-fn start_nodes(site: &Site, delay: &str) -> Process {
-    let folder = crate::harness::folder("");
-    let listen = format!("{}-4", site.address(1));
-    let password = folder.path().join("secrets/section-1");
-    let password = password.to_str().unwrap();
-    let arguments = ["node", "--listen", &listen, "--password-file", password, "--delay", delay];
-    let nodes = Process::start(pnet_nat(&arguments));
-    eventually("the nodes are there", || (nodes.stdout().lines().count() == 4).then_some(()));
-    nodes
 }
 
 /// The sum of what the nodes say they answered: "node 1: received 5, answered 5, refused 0".

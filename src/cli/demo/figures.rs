@@ -4,7 +4,7 @@
 use std::net::SocketAddr;
 use std::time::Duration;
 
-use crate::net::Router;
+use crate::net::{InForce, Router};
 use crate::relay::{Direction, DropReason, MappingId};
 
 use super::plant::Plant;
@@ -56,6 +56,7 @@ impl Figures {
         router: &Router,
         traffic: &Traffic,
     ) -> Self {
+        let router = &*router.in_force();
         let nodes = plant.nodes().iter().zip(traffic.polled()).zip(mappings(router));
         let nodes = nodes.map(|((node, polled), mapping)| NodeFigures {
             node_address: node.node_address,
@@ -119,13 +120,13 @@ impl NodeFigures {
     }
 }
 
-fn mappings(router: &Router) -> impl Iterator<Item = MappingId> {
-    router.config().table.mapping_ids()
+fn mappings(router: &InForce) -> impl Iterator<Item = MappingId> {
+    router.config.table.mapping_ids()
 }
 
-fn relayed(router: &Router, mapping: MappingId, direction: Direction) -> Relayed {
+fn relayed(router: &InForce, mapping: MappingId, direction: Direction) -> Relayed {
     let mut sum = Relayed { received: 0, forwarded: 0, dropped: 0 };
-    for counters in router.counters() {
+    for counters in &router.counters {
         let counters = counters.node(mapping).direction(direction);
         sum.received += counters.received.get();
         sum.forwarded += counters.forwarded.get();
@@ -134,11 +135,11 @@ fn relayed(router: &Router, mapping: MappingId, direction: Direction) -> Relayed
     sum
 }
 
-fn dropped(router: &Router) -> Vec<(DropReason, u64)> {
+fn dropped(router: &InForce) -> Vec<(DropReason, u64)> {
     let mut dropped = Vec::new();
     for &reason in Direction::ALL.iter().flat_map(|direction| direction.drop_reasons()) {
         let of = |direction| -> u64 {
-            let nodes = router.counters().iter().flat_map(|worker| {
+            let nodes = router.counters.iter().flat_map(|worker| {
                 mappings(router).map(|mapping| worker.node(mapping).direction(direction))
             });
             nodes.map(|counters| counters.dropped(reason).get()).sum()

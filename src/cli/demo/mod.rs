@@ -64,9 +64,9 @@ async fn demo(args: Args) -> anyhow::Result<ExitCode> {
     let router = Router::start(plant.config(admin_address)).context("the relay does not start")?;
     let router = Arc::new(router);
     let (stop_admin, admin_stopped) = oneshot::channel::<()>();
-    let admin = tokio::spawn(admin::serve(admin, Arc::clone(&router), Sandbox::off(), async {
-        let _ = admin_stopped.await;
-    }));
+    let admin_stopped = async { _ = admin_stopped.await };
+    let serving = admin::serve(admin, Arc::clone(&router), None, Sandbox::off(), admin_stopped);
+    let admin = tokio::spawn(serving);
 
     let traffic = Traffic::new(&plant);
     let started = Instant::now();

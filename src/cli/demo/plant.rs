@@ -108,7 +108,12 @@ impl Plant {
                 wrong_password_interval: Duration::from_millis(200),
             },
             runtime: Runtime::default(),
-            admin: Some(Admin { listen: admin, token: None, metrics_without_token: false }),
+            admin: Some(Admin {
+                listen: admin,
+                token: None,
+                metrics_without_token: false,
+                reload: false,
+            }),
             files: Vec::new(),
         }
     }

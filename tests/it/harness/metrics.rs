@@ -40,6 +40,21 @@ impl Metrics {
         drops
     }
 
+    /// Counters of this scrape that are behind those of an earlier one.
+    pub(crate) fn behind(&self, earlier: &Self) -> Vec<String> {
+        let counts = |sample: &&Sample| {
+            ["_total", "_bucket", "_count", "_sum"].iter().any(|end| sample.name.ends_with(end))
+        };
+        let series = |sample: &'_ Sample| (sample.name.clone(), sample.labels.clone());
+        let now: BTreeMap<_, _> =
+            self.0.iter().filter(counts).map(|sample| (series(sample), sample.value)).collect();
+        let behind = |sample: &Sample| {
+            let value = *now.get(&series(sample))?;
+            (value < sample.value).then(|| format!("{sample:?} is {value}"))
+        };
+        earlier.0.iter().filter(counts).filter_map(behind).collect()
+    }
+
     /// Where the law of the counters does not hold: received = forwarded + dropped, for every net,
     /// node and direction, strays included.
     pub(crate) fn breaches(&self) -> Vec<String> {

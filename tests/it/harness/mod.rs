@@ -12,6 +12,7 @@ mod process;
 mod relay;
 mod site;
 
+use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
 use std::time::{Duration, Instant};
 
 pub(crate) use capture::{Capture, Packet};
@@ -43,6 +44,16 @@ pub(crate) fn eventually<T>(what: &str, mut probe: impl FnMut() -> Option<T>) ->
 #[expect(clippy::disallowed_methods, reason = "the one place where tests sleep")]
 pub(crate) fn pause(time: Duration) {
     std::thread::sleep(time);
+}
+
+/// Says that it is over, when dropped: threads that wait for it end also when the test fails.
+#[derive(Debug)]
+pub(crate) struct Over<'a>(pub(crate) &'a AtomicBool);
+
+impl Drop for Over<'_> {
+    fn drop(&mut self) {
+        self.0.store(true, Relaxed);
+    }
 }
 
 /// Says that a scenario is left out for want of something; fails where all have to run.

@@ -7,6 +7,7 @@ use std::os::unix::fs::PermissionsExt;
 use std::process::Command;
 
 use nix::sys::signal::Signal;
+use serde_json::Value;
 use tempfile::TempDir;
 
 use super::{
@@ -146,7 +147,7 @@ impl Site {
 pub(crate) struct Relay {
     pub(crate) process: Process,
     admin: SocketAddr,
-    _folder: TempDir,
+    folder: TempDir,
 }
 
 impl Relay {
@@ -167,7 +168,7 @@ impl Relay {
         let folder = folder(configuration);
         let config = folder.path().join("pnet-nat.toml");
         let command = command(&["run", "--config", config.to_str().unwrap()]);
-        let mut relay = Self { process: Process::start(command), admin, _folder: folder };
+        let mut relay = Self { process: Process::start(command), admin, folder };
         eventually("the relay is ready", || {
             assert!(!relay.process.has_ended(), "{}", relay.process.stderr());
             (relay.get("/-/ready")?.0 == 200).then_some(())
@@ -175,16 +176,58 @@ impl Relay {
         relay
     }
 
+    /// Writes another configuration into its file, for the next reload.
+    pub(crate) fn configure(&self, configuration: &str) {
+        fs::write(self.folder.path().join("pnet-nat.toml"), configuration).unwrap();
+    }
+
+    /// Writes another password into a file of `secrets`.
+    pub(crate) fn set_password(&self, file: &str, password: &[u8; 8]) {
+        fs::write(self.folder.path().join("secrets").join(file), password).unwrap();
+    }
+
+    /// Reloads by SIGHUP, and tells the log line that says how it went.
+    #[track_caller]
+    pub(crate) fn reload(&self) -> Value {
+        let done = || {
+            let is_it =
+                |line: &Value| line["message"] == "reload" || line["message"] == "reload failed";
+            self.process.log().filter(is_it).collect::<Vec<_>>()
+        };
+        let before = done().len();
+        self.process.signal(Signal::SIGHUP);
+        eventually("the reload is over", || done().into_iter().nth(before))
+    }
+
+    /// Brings another configuration into force, and tells the log line with the differences.
+    #[track_caller]
+    pub(crate) fn reload_to(&self, configuration: &str) -> Value {
+        self.configure(configuration);
+        let line = self.reload();
+        assert_eq!(line["message"], "reload", "{}", self.process.stderr());
+        line
+    }
+
+    /// `POST /-/reload`: status and body.
+    pub(crate) fn post_reload(&self) -> (u16, String) {
+        let mut answer = self.agent().post(format!("http://{}/-/reload", self.admin)).send_empty();
+        let answer = answer.as_mut().unwrap();
+        (answer.status().as_u16(), answer.body_mut().read_to_string().unwrap())
+    }
+
     /// Status and body of an answer of the admin server, if there is one.
     pub(crate) fn get(&self, path: &str) -> Option<(u16, String)> {
-        let agent: ureq::Agent = ureq::Agent::config_builder()
+        let mut answer = self.agent().get(format!("http://{}{path}", self.admin)).call().ok()?;
+        let body = answer.body_mut().with_config().limit(1 << 30).read_to_string().ok()?;
+        Some((answer.status().as_u16(), body))
+    }
+
+    fn agent(&self) -> ureq::Agent {
+        ureq::Agent::config_builder()
             .http_status_as_error(false)
             .timeout_global(Some(super::PATIENCE))
             .build()
-            .into();
-        let mut answer = agent.get(format!("http://{}{path}", self.admin)).call().ok()?;
-        let body = answer.body_mut().with_config().limit(1 << 30).read_to_string().ok()?;
-        Some((answer.status().as_u16(), body))
+            .into()
     }
 
     pub(crate) fn metrics(&self) -> Metrics {

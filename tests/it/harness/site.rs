@@ -12,7 +12,7 @@ use std::time::Duration;
 
 use socket2::Socket;
 
-use super::{PATIENCE, eventually, request, response};
+use super::{PATIENCE, Process, eventually, folder, pnet_nat, request, response};
 
 /// Below the ports that Linux lends on, so that nobody has one of the block by chance.
 const START_PORT: u16 = 20000;
@@ -71,6 +71,19 @@ impl Site {
     /// A server node: a socket on its Secure port.
     pub(crate) fn node(&self, node_address: u8) -> Peer {
         Peer::bind((self.address(node_address), SECURE_PORT).into())
+    }
+
+    /// `pnet-nat node` for nodes 1 to 4.
+    pub(crate) fn simulated_nodes(&self, delay: &str) -> Process {
+        let folder = folder("");
+        let listen = format!("{}-4", self.address(1));
+        let password = folder.path().join("secrets/section-1");
+        let password = password.to_str().unwrap();
+        let arguments =
+            ["node", "--listen", &listen, "--password-file", password, "--delay", delay];
+        let nodes = Process::start(pnet_nat(&arguments));
+        eventually("the nodes are there", || (nodes.stdout().lines().count() == 4).then_some(()));
+        nodes
     }
 
     /// A client at an address of its own.

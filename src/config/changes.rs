@@ -1,0 +1,217 @@
+//! What a new configuration changes, in names that people know from the file.
+
+use std::collections::BTreeMap;
+
+use serde::Serialize;
+
+use super::Config;
+use crate::relay::{Credential, Mapping, Net, Table};
+use crate::wire::Password;
+
+/// The differences between two configurations, and what came of them.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct Changes {
+    /// Sections and keys outside the nets.
+    pub settings_changed: Vec<&'static str>,
+    /// By name.
+    pub nets_added: Vec<String>,
+    /// By name.
+    pub nets_removed: Vec<String>,
+    /// Nets of which a rule is another: who may come, how long, how many, or how strictly.
+    pub nets_changed: Vec<String>,
+    /// Nodes, by net: "section-1: 1-4, 33".
+    pub mappings_added: Vec<String>,
+    /// Likewise.
+    pub mappings_removed: Vec<String>,
+    /// Likewise: those with another public port or server.
+    pub mappings_changed: Vec<String>,
+    /// By net and name: "section-1: service".
+    pub credentials_added: Vec<String>,
+    /// Likewise.
+    pub credentials_withdrawn: Vec<String>,
+    /// Likewise: those with another password, towards clients or servers.
+    pub credentials_changed: Vec<String>,
+    /// Flows that had no place in the new configuration.
+    pub flows_closed: usize,
+}
+
+impl Changes {
+    /// What is different in `new`; no flow is closed yet.
+    pub fn between(old: &Config, new: &Config) -> Self {
+        let nets = Difference::of(&nets(&old.table), &nets(&new.table), same_rules);
+        let mappings = Difference::of(&mappings(&old.table), &mappings(&new.table), same_way);
+        let passwords = |old: &&Credential, new: &&Credential| same_passwords(old, new);
+        let credentials =
+            Difference::of(&credentials(&old.table), &credentials(&new.table), passwords);
+        let names = |names: Vec<&str>| names.into_iter().map(str::to_owned).collect();
+        let credential = |(net, name)| format!("{net}: {name}");
+        let named = |keys: Vec<_>| keys.into_iter().map(credential).collect();
+        Self {
+            settings_changed: settings(old, new),
+            nets_added: names(nets.added),
+            nets_removed: names(nets.removed),
+            nets_changed: names(nets.changed),
+            mappings_added: by_net(&mappings.added),
+            mappings_removed: by_net(&mappings.removed),
+            mappings_changed: by_net(&mappings.changed),
+            credentials_added: named(credentials.added),
+            credentials_withdrawn: named(credentials.removed),
+            credentials_changed: named(credentials.changed),
+            flows_closed: 0,
+        }
+    }
+}
+
+/// Keys that only one of two maps has, or both with other values.
+struct Difference<K> {
+    added: Vec<K>,
+    removed: Vec<K>,
+    changed: Vec<K>,
+}
+
+impl<K: Ord + Copy> Difference<K> {
+    fn of<V>(old: &BTreeMap<K, V>, new: &BTreeMap<K, V>, same: impl Fn(&V, &V) -> bool) -> Self {
+        let missing = |from: &BTreeMap<K, V>, of: &BTreeMap<K, V>| {
+            of.keys().copied().filter(|key| !from.contains_key(key)).collect()
+        };
+        let changed = |(key, new): (&K, &V)| {
+            let old = old.get(key)?;
+            (!same(old, new)).then_some(*key)
+        };
+        Self {
+            added: missing(old, new),
+            removed: missing(new, old),
+            changed: new.iter().filter_map(changed).collect(),
+        }
+    }
+}
+
+fn nets(table: &Table) -> BTreeMap<&str, &Net> {
+    table.nets().iter().map(|net| (net.name.as_str(), net)).collect()
+}
+
+fn mappings(table: &Table) -> BTreeMap<(&str, u8), Mapping> {
+    let key = |mapping: &Mapping| (table.net(mapping.net).name.as_str(), mapping.node_address);
+    table.mappings().iter().map(|mapping| (key(mapping), *mapping)).collect()
+}
+
+fn credentials(table: &Table) -> BTreeMap<(&str, &str), &Credential> {
+    let mut credentials = BTreeMap::new();
+    for net in table.nets() {
+        for credential in &net.credentials {
+            credentials.insert((net.name.as_str(), credential.name.as_str()), credential);
+        }
+    }
+    credentials
+}
+
+fn same_rules(old: &&Net, new: &&Net) -> bool {
+    // Credentials are told of one by one, and so is what the kind says, through the mappings.
+    let Net {
+        name: _,
+        kind: _,
+        allow,
+        credentials: _,
+        allow_without_password,
+        require_response_password,
+        idle_timeout,
+        max_flows,
+        max_requests,
+        max_flow_requests,
+    } = old;
+    *allow == new.allow
+        && *allow_without_password == new.allow_without_password
+        && *require_response_password == new.require_response_password
+        && *idle_timeout == new.idle_timeout
+        && *max_flows == new.max_flows
+        && *max_requests == new.max_requests
+        && *max_flow_requests == new.max_flow_requests
+}
+
+fn same_way(old: &Mapping, new: &Mapping) -> bool {
+    (old.public_port, old.server) == (new.public_port, new.server)
+}
+
+fn same_passwords(old: &Credential, new: &Credential) -> bool {
+    let same = |old: &Password, new: &Password| bool::from(old.matches(new.octets()));
+    same(&old.password, &new.password) && same(old.at_server(), new.at_server())
+}
+
+fn settings(old: &Config, new: &Config) -> Vec<&'static str> {
+    let (was, is) = (&old.runtime, &new.runtime);
+    let changed = [
+        ("[public] listen", old.listen != new.listen),
+        ("[protocol] header", old.table.header != new.table.header),
+        (
+            "[limits]",
+            old.limits != new.limits
+                || (was.prefilter, was.busy_poll, was.audit_lines)
+                    != (is.prefilter, is.busy_poll, is.audit_lines),
+        ),
+        ("[runtime]", (was.receive_buffer, was.drain) != (is.receive_buffer, is.drain)),
+        ("[admin]", old.admin != new.admin),
+    ];
+    changed.into_iter().filter_map(|(key, changed)| changed.then_some(key)).collect()
+}
+
+/// Nodes of each net, runs of them as the file has them.
+fn by_net(nodes: &[(&str, u8)]) -> Vec<String> {
+    let of_net = |nodes: &[(&str, u8)]| {
+        let runs = nodes.chunk_by(|(_, node), (_, next)| node + 1 == *next);
+        let runs = runs.map(|run| match run {
+            [(_, first), .., (_, last)] => format!("{first}-{last}"),
+            run => run[0].1.to_string(),
+        });
+        format!("{}: {}", nodes[0].0, runs.collect::<Vec<_>>().join(", "))
+    };
+    nodes.chunk_by(|(net, _), (next, _)| net == next).map(of_net).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use super::*;
+    use crate::metrics::fixture::config;
+
+    #[test]
+    fn the_same_is_no_change() {
+        assert_eq!(Changes::between(&config(), &config()), Changes::default());
+    }
+
+    #[test]
+    fn nodes_are_told_as_runs_by_their_nets() {
+        let nodes = [("a", 1), ("a", 2), ("a", 3), ("a", 5), ("b", 6), ("c", 7), ("c", 8)];
+        assert_eq!(by_net(&nodes), ["a: 1-3, 5", "b: 6", "c: 7-8"]);
+        assert_eq!(by_net(&[]), [""; 0]);
+    }
+
+    #[test]
+    fn every_difference_has_its_place() {
+        let old = config();
+        let mut nets = old.table.nets().to_vec();
+        nets[0].max_flows += 1;
+        nets[0].credentials[0].password = Password::new(*b"another!");
+        nets[0].credentials[1].name = "team-c".into();
+        nets[1].name = "oven".into();
+        let mut mappings = old.table.mappings().to_vec();
+        mappings[0].server.set_port(34380);
+        mappings[2].node_address = 34;
+        let table = Arc::new(Table::new("02000001".parse().unwrap(), nets, mappings));
+        let new = Config { table, listen: Vec::new(), admin: None, ..old.clone() };
+        let expected = Changes {
+            settings_changed: vec!["[public] listen", "[protocol] header", "[admin]"],
+            nets_added: vec!["oven".into()],
+            nets_removed: vec!["press".into()],
+            nets_changed: vec!["section-1".into()],
+            mappings_added: vec!["oven: 7".into(), "section-1: 34".into()],
+            mappings_removed: vec!["press: 7".into(), "section-1: 33".into()],
+            mappings_changed: vec!["section-1: 1".into()],
+            credentials_added: vec!["section-1: team-c".into()],
+            credentials_withdrawn: vec!["section-1: team-b".into()],
+            credentials_changed: vec!["section-1: service".into()],
+            flows_closed: 0,
+        };
+        assert_eq!(Changes::between(&old, &new), expected);
+    }
+}

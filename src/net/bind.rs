@@ -1,0 +1,134 @@
+//! Opening public sockets, at the start and for a new configuration.
+//!
+//! A socket that is there already is taken over, so that no datagram to it is lost. Whatever fails,
+//! what was there stays, and what was opened is closed again.
+
+use std::collections::HashMap;
+use std::io;
+use std::net::SocketAddr;
+use std::sync::Arc;
+
+use crate::config::{Config, Prefilter};
+use crate::relay::{ListenerId, MappingId};
+
+use super::descriptors::TooFewDescriptors;
+use super::public::{Listener, Listeners, NetDrops, PublicSocket};
+use super::socket;
+
+/// Why a router cannot have the sockets that a configuration names.
+#[derive(Debug, thiserror::Error)]
+pub enum StartError {
+    /// The process may not have enough file descriptors.
+    #[error(transparent)]
+    Descriptors(#[from] TooFewDescriptors),
+    /// The process has no file descriptor left.
+    #[error(
+        "no file descriptor is left for UDP {0}; raise the hard limit (ulimit -Hn, LimitNOFILE=, \
+         --ulimit nofile=)"
+    )]
+    OutOfDescriptors(SocketAddr),
+    /// Another program has the port.
+    #[error("UDP port {0} is in use; stop what uses it (ss -lunp), or choose another port")]
+    PortInUse(SocketAddr),
+    /// The address is not the host's.
+    #[error(
+        "{} is no address of this host; correct [public] listen (ip address shows what there is)",
+        .0.ip()
+    )]
+    NotOurAddress(SocketAddr),
+    /// A port below 1024 without the capability for it.
+    #[error(
+        "UDP port {0} needs CAP_NET_BIND_SERVICE, which is given up after the start; choose ports \
+         above 1023, or restart with that capability"
+    )]
+    NotPermitted(SocketAddr),
+    /// Another error of the system.
+    #[error("cannot listen on UDP {0}")]
+    Listen(SocketAddr, #[source] io::Error),
+    /// The system does not tell of what arrives.
+    #[error("cannot wait for datagrams; is sysctl fs.epoll.max_user_watches reached?")]
+    Watch(#[source] io::Error),
+    /// Another error of the system, not about one address.
+    #[error("cannot start a worker")]
+    Worker(#[from] io::Error),
+}
+
+/// The public sockets of each worker for this configuration, whose nets' figures are `drops`: those
+/// of `before` that it names too, in their places, and new ones in places that are free.
+pub(super) fn open(
+    config: &Config,
+    drops: &[Arc<NetDrops>],
+    before: &[Listeners],
+    workers: usize,
+) -> Result<Vec<Listeners>, StartError> {
+    // Every worker has the same sockets in the same places.
+    let places = before.first().into_iter().flat_map(Listeners::iter);
+    let places: HashMap<_, _> = places.map(|(id, listener)| (listener.address, id)).collect();
+    let listener = |socket, address, mapping| {
+        let net = config.table.mapping(mapping).net;
+        let drops = Arc::clone(&drops[usize::from(net.0)]);
+        Listener { socket, address, mapping, net, drops }
+    };
+    let mut next = vec![Listeners::default(); workers];
+    let mut new = Vec::new();
+    for (address, mapping) in wanted(config) {
+        let Some(&id) = places.get(&address) else {
+            new.push((address, mapping));
+            continue;
+        };
+        for (next, before) in next.iter_mut().zip(before) {
+            let Some(kept) = before.get(id) else { continue };
+            next.put(id, listener(Arc::clone(&kept.socket), address, mapping));
+        }
+    }
+    let mut ids = (0..).map(ListenerId);
+    for (address, mapping) in new {
+        let Some(id) = ids.find(|&id| next[0].get(id).is_none()) else { break };
+        let sockets = socket::public(address, workers, config.runtime.receive_buffer);
+        let sockets = sockets.map_err(|error| StartError::listen(address, error))?;
+        for (next, socket) in next.iter_mut().zip(sockets) {
+            let listener = listener(Arc::new(PublicSocket::new(socket)), address, mapping);
+            if config.runtime.prefilter == Prefilter::Always {
+                let on = listener.filter(true, &config.table);
+                on.map_err(|error| StartError::Listen(address, error))?;
+            }
+            next.put(id, listener);
+        }
+    }
+    Ok(next)
+}
+
+/// Says when the kernel granted less than the configured receive buffer.
+pub(super) fn tell_short_buffers(config: &Config, listeners: &[Listeners]) {
+    let asked = config.runtime.receive_buffer;
+    let sockets = listeners.iter().flat_map(Listeners::iter);
+    let granted = sockets.filter_map(|(_, l)| socket::receive_buffer(&l.socket.socket).ok()).min();
+    if let Some(granted) = granted.filter(|&granted| granted < asked) {
+        tracing::warn!(
+            asked_octets = asked,
+            granted_octets = granted,
+            "receive buffers are shorter than configured; raise net.core.rmem_max"
+        );
+    }
+}
+
+/// Every address that clients send to, with what it stands for.
+fn wanted(config: &Config) -> impl Iterator<Item = (SocketAddr, MappingId)> {
+    let mappings = config.table.mappings().iter().zip(config.table.mapping_ids());
+    mappings.flat_map(|(mapping, id)| {
+        let listen = config.listen.iter();
+        listen.map(move |&address| (SocketAddr::new(address, mapping.public_port), id))
+    })
+}
+
+impl StartError {
+    fn listen(address: SocketAddr, error: io::Error) -> Self {
+        match error.kind() {
+            io::ErrorKind::AddrInUse => Self::PortInUse(address),
+            io::ErrorKind::AddrNotAvailable => Self::NotOurAddress(address),
+            io::ErrorKind::PermissionDenied => Self::NotPermitted(address),
+            _ if error.raw_os_error() == Some(libc::EMFILE) => Self::OutOfDescriptors(address),
+            _ => Self::Listen(address, error),
+        }
+    }
+}

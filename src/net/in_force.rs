@@ -1,0 +1,63 @@
+//! What is in force from one reload to the next.
+//!
+//! Who reads takes the whole and reads it to the end, so that figures and the table that they belong
+//! to fit together. A retired one still tells its last figures, but holds no socket open.
+
+use std::collections::HashMap;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use crate::config::Config;
+use crate::relay::{Counters, NetId};
+
+use super::public::{KernelDrops, Listeners, NetDrops};
+
+/// A configuration, and what is counted under it.
+#[derive(Debug)]
+pub struct InForce {
+    /// The configuration.
+    pub config: Config,
+    /// The counters of each worker; a figure of the router is their sum.
+    pub counters: Vec<Arc<Counters>>,
+    /// Of each net.
+    drops: Vec<Arc<NetDrops>>,
+    /// Of each worker.
+    listeners: Mutex<Vec<Listeners>>,
+}
+
+impl InForce {
+    pub(super) fn new(
+        config: Config,
+        counters: Vec<Arc<Counters>>,
+        drops: Vec<Arc<NetDrops>>,
+        listeners: Vec<Listeners>,
+    ) -> Self {
+        Self { config, counters, drops, listeners: Mutex::new(listeners) }
+    }
+
+    /// Datagrams that the kernel dropped on a net's public sockets.
+    pub fn kernel_drops(&self, net: NetId) -> KernelDrops {
+        for (_, listener) in self.listeners().iter().flat_map(Listeners::iter) {
+            if listener.net == net {
+                listener.account();
+            }
+        }
+        self.drops[usize::from(net.0)].get()
+    }
+
+    /// The public sockets of each worker.
+    pub(super) fn listeners(&self) -> MutexGuard<'_, Vec<Listeners>> {
+        // It is only ever read, or emptied.
+        self.listeners.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// What the kernel dropped, by the names of the nets.
+    pub(super) fn drops_by_name(&self) -> HashMap<&str, &Arc<NetDrops>> {
+        let names = self.config.table.nets().iter().map(|net| net.name.as_str());
+        names.zip(&self.drops).collect()
+    }
+
+    /// Lets go of the sockets.
+    pub(super) fn retire(&self) {
+        self.listeners().clear();
+    }
+}

@@ -1,0 +1,152 @@
+//! Another configuration for a router at work.
+//!
+//! All that can fail comes first: what needs a restart, the file descriptors, the new sockets. Until
+//! then nothing has changed for anybody, and a fault leaves it at that. Then each worker goes over,
+//! between two datagrams, and the rest of the program sees the new one as a whole.
+
+use std::collections::HashSet;
+use std::net::IpAddr;
+use std::num::NonZeroUsize;
+use std::sync::mpsc;
+use std::sync::{Arc, PoisonError};
+use std::time::Instant;
+
+use crate::config::{Changes, Config, Faults};
+use crate::relay::{Net, Rules};
+
+use super::bind::{self, StartError};
+use super::descriptors;
+use super::in_force::InForce;
+use super::public::{Listeners, NetDrops};
+use super::router::{Router, addresses, lock};
+use super::worker::{self, Command, Next};
+
+/// Why another configuration did not come into force.
+#[derive(Debug, thiserror::Error)]
+pub enum ReloadError {
+    /// It is not sound.
+    #[error(transparent)]
+    Faults(#[from] Faults),
+    /// What it changes is settled at the start.
+    #[error("{} cannot change while the relay runs; restart it", .0.join(", "))]
+    NeedsRestart(Vec<&'static str>),
+    /// Its sockets cannot be had.
+    #[error(transparent)]
+    Sockets(#[from] StartError),
+    /// The workers are ending.
+    #[error("the relay is stopping")]
+    Stopping,
+}
+
+/// How the last reload went; at first, the start.
+#[derive(Clone, Copy, Debug)]
+pub struct LastReload {
+    /// Whether its configuration came into force.
+    pub successful: bool,
+    /// When the configuration in force came into force.
+    pub success_at: Instant,
+}
+
+impl LastReload {
+    pub(super) fn succeeded() -> Self {
+        Self { successful: true, success_at: Instant::now() }
+    }
+}
+
+impl Router {
+    /// Brings a configuration into force that was just read, or says why not; then the one in force
+    /// stays, whole. Blocks until every worker has gone over.
+    pub fn reload(&self, read: Result<Config, Faults>) -> Result<Changes, ReloadError> {
+        let outcome = read.map_err(ReloadError::from).and_then(|config| self.replace(config));
+        let mut last = lock(&self.last_reload);
+        match outcome {
+            Ok(_) => *last = LastReload::succeeded(),
+            Err(_) => last.successful = false,
+        }
+        outcome
+    }
+
+    fn replace(&self, config: Config) -> Result<Changes, ReloadError> {
+        let _changing = lock(&self.changing);
+        if !self.is_ready() {
+            return Err(ReloadError::Stopping);
+        }
+        let old = self.in_force();
+        refuse_what_needs_a_restart(&old.config, &config)?;
+        let mut changes = Changes::between(&old.config, &config);
+
+        let workers = NonZeroUsize::new(self.workers.len());
+        let plan = descriptors::plan(addresses(&config), workers).map_err(StartError::from)?;
+        let known = old.drops_by_name();
+        let drops_of = |net: &Net| known.get(net.name.as_str()).copied().cloned();
+        let drops = config.table.nets().iter().map(|net| drops_of(net).unwrap_or_default());
+        let drops: Vec<Arc<NetDrops>> = drops.collect();
+        let before = old.listeners().clone();
+        let listeners = bind::open(&config, &drops, &before, self.workers.len())?;
+        for ((worker, next), before) in self.workers.iter().zip(&listeners).zip(&before) {
+            worker::watch(&worker.epoll, next, before)?;
+        }
+
+        // From here on nothing fails.
+        let rules = Rules::new(Arc::clone(&config.table), config.limits);
+        let next = |listeners: &Listeners| Next {
+            rules: rules.clone(),
+            listeners: listeners.clone(),
+            upstream_limit: plan.upstreams,
+            runtime: config.runtime.clone(),
+        };
+        let mut answers = Vec::new();
+        for (worker, listeners) in self.workers.iter().zip(&listeners) {
+            let (reply, answer) = mpsc::sync_channel(1);
+            worker.ask(Command::Reload(Box::new(next(listeners)), reply));
+            answers.push(answer);
+        }
+        let mut counters = Vec::new();
+        for answer in answers {
+            // None comes from a worker that has panicked: it takes the process along.
+            let reloaded = answer.recv().map_err(|_| ReloadError::Stopping)?;
+            changes.flows_closed += reloaded.flows_closed;
+            counters.push(reloaded.counters);
+        }
+        if config.runtime.receive_buffer != old.config.runtime.receive_buffer {
+            resize_buffers(&config, &listeners);
+        }
+        let next = Arc::new(InForce::new(config, counters, drops, listeners));
+        *self.in_force.write().unwrap_or_else(PoisonError::into_inner) = next;
+        old.retire();
+        Ok(changes)
+    }
+}
+
+fn refuse_what_needs_a_restart(old: &Config, new: &Config) -> Result<(), ReloadError> {
+    let (was, is) = (old.admin.as_ref(), new.admin.as_ref());
+    let admin_moves = was.zip(is).is_some_and(|(was, is)| was.listen != is.listen);
+    let changed = [
+        ("[runtime] workers", old.runtime.workers != new.runtime.workers),
+        ("[admin] enabled", was.is_some() != is.is_some()),
+        ("[admin] listen", admin_moves),
+        ("[public] listen, between one address and all of them,", all_or_one(old, new)),
+    ];
+    let changed: Vec<_> =
+        changed.into_iter().filter_map(|(key, changed)| changed.then_some(key)).collect();
+    if changed.is_empty() { Ok(()) } else { Err(ReloadError::NeedsRestart(changed)) }
+}
+
+/// Whether a new address includes an old one or the other way round: the old sockets, which serve
+/// until the new ones are there, would keep them off their ports.
+fn all_or_one(old: &Config, new: &Config) -> bool {
+    let (old, new): (HashSet<IpAddr>, HashSet<IpAddr>) =
+        (old.listen.iter().copied().collect(), new.listen.iter().copied().collect());
+    let in_the_way = |a: &IpAddr, b: &IpAddr| {
+        a != b && a.is_ipv4() == b.is_ipv4() && (a.is_unspecified() || b.is_unspecified())
+    };
+    new.difference(&old).any(|new| old.iter().any(|old| in_the_way(old, new)))
+}
+
+fn resize_buffers(config: &Config, listeners: &[Listeners]) {
+    for (_, listener) in listeners.iter().flat_map(Listeners::iter) {
+        // What the kernel did not grant is told below.
+        let _ = listener.socket.socket.set_recv_buffer_size(config.runtime.receive_buffer);
+    }
+    bind::tell_short_buffers(config, listeners);
+}

@@ -1,0 +1,512 @@
+//! Another configuration for a relay at work: what did not change goes on as if nothing happened,
+//! what did is in force at once, and what cannot be leaves everything as it was.
+
+use std::collections::BTreeSet;
+use std::fs;
+use std::net::UdpSocket;
+use std::os::unix::net::UnixDatagram;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::Relaxed};
+use std::thread;
+
+use nix::sys::signal::Signal;
+use serde_json::{Value, json};
+use tempfile::TempDir;
+
+use crate::harness::{
+    DEVICE, FIGURE_10, Over, PASSWORD, PATIENCE, Peer, Relay, SECOND, Settings, Site, close,
+    datagram, eventually, exchange, pnet_nat, request, response,
+};
+
+const SUCCESSFUL: &str = "pnet_nat_config_last_reload_successful";
+const SUCCESS_TIME: &str = "pnet_nat_config_last_reload_success_timestamp_seconds";
+
+/// With one worker, and with two.
+const RUNTIMES: [&str; 2] = ["workers = 1\ndrain = \"100ms\"", "workers = 2\ndrain = \"100ms\""];
+
+const FIRST_AND_SECOND: &str = r#"
+[[udp_range_net.password]]
+name = "first"
+file = "secrets/section-1"
+[[udp_range_net.password]]
+name = "second"
+file = "secrets/press"
+"#;
+
+const FIRST: &str = r#"
+[[udp_range_net.password]]
+name = "first"
+file = "secrets/section-1"
+"#;
+
+/// Another section, whose servers are nowhere.
+fn section(name: &str, start_port: u16, subnet: &str) -> String {
+    format!(
+        "[[udp_range_net]]\nname = \"{name}\"\nstart_port = {start_port}\nsubnet = \"{subnet}\"\n\
+         nodes = [\"1-20\"]\nallow = [\"127.0.0.0/8\"]\n[[udp_range_net.password]]\n\
+         name = \"service\"\nfile = \"secrets/press\"\n"
+    )
+}
+
+/// The configuration with another section before all others: in the table, each has a new place.
+fn led_by(section: &str, configuration: &str) -> String {
+    configuration.replacen("[[udp_range_net]]", &format!("{section}\n[[udp_range_net]]"), 1)
+}
+
+/// The relay's ports towards the nodes, by client and node.
+fn upstream_ports(relay: &Relay) -> BTreeSet<String> {
+    let (_, flows) = relay.get("/api/v1/flows").unwrap();
+    let flows: Value = serde_json::from_str(&flows).unwrap();
+    let of =
+        |flow: &Value| format!("{} {} {}", flow["client"], flow["node"], flow["upstream_port"]);
+    flows["flows"].as_array().unwrap().iter().map(of).collect()
+}
+
+/// Asks nodes 1 to 4 in turn until it is over; whatever does not come back is lost for good.
+fn poll(client: &Peer, site: &Site, answers: &AtomicU64, over: &AtomicBool) {
+    for node_address in (1..=4).cycle() {
+        if over.load(Relaxed) {
+            break;
+        }
+        client.send(site.public(node_address), &request(node_address));
+        assert_eq!(client.receive().1, site.public(node_address), "who answers");
+        answers.fetch_add(1, Relaxed);
+    }
+}
+
+#[test]
+fn unchanged_mappings_lose_nothing_while_others_come_and_go() {
+    for runtime in RUNTIMES {
+        let site = Site::claim();
+        let swapped = section("swapped", 22_000, "127.2.2.0");
+        let settings = Settings { runtime, sections: &swapped, ..Settings::default() };
+        let without = site.configuration(&settings);
+        let with = led_by(&section("other", 21_000, "127.2.1.0"), &without);
+        let relay = Relay::start(&with, site.admin(), None);
+        let nodes = site.simulated_nodes("0s");
+        let clients: Vec<_> = (0..5).map(|_| site.client()).collect();
+        let (answers, over) = (AtomicU64::new(0), AtomicBool::new(false));
+        let reloads = 40;
+        thread::scope(|scope| {
+            for client in &clients {
+                scope.spawn(|| poll(client, &site, &answers, &over));
+            }
+            let over = Over(&over);
+            eventually("every flow is open", || (upstream_ports(&relay).len() == 20).then_some(()));
+            let ports = upstream_ports(&relay);
+            let mut scrape = relay.metrics();
+            for round in 0..reloads {
+                let asked = answers.load(Relaxed);
+                eventually("there is load", || (answers.load(Relaxed) > asked + 20).then_some(()));
+                relay.set_password("press", [SECOND, DEVICE][round % 2]);
+                let line = relay.reload_to([&without, &with][round % 2]);
+                let (now, away) = ("other: 1-20", round % 2 == 0);
+                let key = if away { "mappings_removed" } else { "mappings_added" };
+                assert_eq!(line[key], now, "{line}");
+                assert_eq!(line["flows_closed"], 0, "{line}");
+                let next = relay.metrics();
+                assert_eq!(next.behind(&scrape), [""; 0], "counters run backwards");
+                scrape = next;
+            }
+            assert_eq!(upstream_ports(&relay), ports);
+            drop(over);
+        });
+        // What was asked is what was answered.
+        let answers = answers.load(Relaxed);
+        relay.expect_law();
+        let of_section = [("net", "section-1"), ("direction", "response")];
+        let metrics = relay.metrics();
+        assert_eq!(metrics.sum("pnet_nat_forwarded_datagrams_total", &of_section), answers);
+        assert_eq!(metrics.sum(SUCCESSFUL, &[]), 1);
+        relay.expect_drops(&[]);
+        let log = relay.finish();
+        assert_eq!(log.logged("reload").len(), reloads);
+        assert_eq!(log.logged("flow opened").len(), 20);
+        drop(nodes);
+    }
+}
+
+/// Whether the kernel knows the passwords or not.
+#[test]
+fn a_withdrawn_password_stops_at_once_and_an_added_one_works_at_once() {
+    for (runtime, prefilter) in
+        RUNTIMES.iter().flat_map(|r| ["off", "auto", "always"].map(|p| (r, p)))
+    {
+        let site = Site::claim();
+        let sections = format!("[limits]\nprefilter = \"{prefilter}\"");
+        let settings = Settings { runtime, sections: &sections, ..Settings::default() };
+        let both =
+            site.configuration(&Settings { passwords: FIRST_AND_SECOND, ..settings.clone() });
+        let one = site.configuration(&Settings { passwords: FIRST, ..settings });
+        let relay = Relay::start(&one, site.admin(), None);
+        let node = site.node(4);
+        let (stays, goes) = (site.client(), site.client());
+        let port = exchange(&stays, site.public(4), &node, 4);
+
+        let line = relay.reload_to(&both);
+        assert_eq!(line["credentials_added"], "section-1: second", "{line}");
+        let second = datagram(&FIGURE_10, &[], SECOND);
+        goes.send(site.public(4), &second);
+        node.expect(&second);
+
+        let line = relay.reload_to(&one);
+        assert_eq!(line["credentials_withdrawn"], "section-1: second", "{line}");
+        assert_eq!(line["flows_closed"], 1, "{line}");
+        let closed = relay.process.logged("flow closed");
+        assert_eq!(closed.len(), 1);
+        assert_eq!(closed[0]["reason"], "password_withdrawn");
+        assert_eq!(closed[0]["client"], json!(goes.address()));
+        assert_eq!(closed[0]["credential"], "second");
+        goes.send(site.public(4), &second);
+        assert_eq!(exchange(&stays, site.public(4), &node, 4), port, "its flow goes on");
+        assert_eq!(node.waiting(), None, "a withdrawn password opens nothing");
+
+        // Another password in the same file.
+        relay.set_password("section-1", DEVICE);
+        let line = relay.reload();
+        assert_eq!(line["credentials_changed"], "section-1: first", "{line}");
+        assert_eq!(line["flows_closed"], 1, "{line}");
+        stays.send(site.public(4), &request(4));
+        let third = datagram(&FIGURE_10, &[], DEVICE);
+        goes.send(site.public(4), &third);
+        node.expect(&third);
+        eventually("both old passwords are refused", || {
+            let metrics = relay.metrics();
+            let refused = metrics.sum("pnet_nat_kernel_dropped_datagrams_total", &[]);
+            let dropped = metrics.drops().values().sum::<u64>();
+            (refused + dropped == 2 && (refused > 0) == (prefilter == "always")).then_some(())
+        });
+        relay.finish();
+    }
+}
+
+#[test]
+fn a_removed_mapping_stops_listening_and_works_again_when_put_back() {
+    for runtime in RUNTIMES {
+        let site = Site::claim();
+        let with = site.configuration(&Settings { runtime, ..Settings::default() });
+        let without = with.replace("\"1-4\", 33", "\"1-3\", 33");
+        assert_ne!(with, without);
+        let relay = Relay::start(&with, site.admin(), None);
+        let (client, node, stays) = (site.client(), site.node(4), site.node(3));
+        exchange(&client, site.public(4), &node, 4);
+        let port = exchange(&client, site.public(3), &stays, 3);
+
+        let line = relay.reload_to(&without);
+        assert_eq!(line["mappings_removed"], "section-1: 4", "{line}");
+        let closed = relay.process.logged("flow closed");
+        assert_eq!(closed.len(), 1);
+        assert_eq!(
+            (&closed[0]["reason"], &closed[0]["node"]),
+            (&json!("mapping_removed"), &json!(4))
+        );
+        let other = UdpSocket::bind(site.public(4)).expect("the port is free");
+        client.send(site.public(4), &request(4));
+        let mut octets = [0; 128];
+        other.set_read_timeout(Some(PATIENCE)).unwrap();
+        assert_eq!(other.recv(&mut octets).unwrap(), request(4).len(), "the relay has it no more");
+
+        // Another program has the port: nothing changes, not even the password that would have.
+        relay.configure(&with);
+        relay.set_password("section-1", SECOND);
+        let line = relay.reload();
+        assert_eq!(line["message"], "reload failed", "{line}");
+        let error = line["error"].as_str().unwrap();
+        let public = site.public(4).to_string();
+        assert!(error.contains(&public) && error.contains("is in use"), "{error}");
+        assert_eq!(relay.metrics().sum(SUCCESSFUL, &[]), 0);
+        assert_eq!(exchange(&client, site.public(3), &stays, 3), port);
+        relay.set_password("section-1", PASSWORD);
+
+        close(other);
+        let line = relay.reload_to(&with);
+        assert_eq!(line["mappings_added"], "section-1: 4", "{line}");
+        assert_eq!(relay.metrics().sum(SUCCESSFUL, &[]), 1);
+        exchange(&client, site.public(4), &node, 4);
+        assert_eq!(exchange(&client, site.public(3), &stays, 3), port);
+        relay.finish();
+    }
+}
+
+/// An answer leaves from where its request came to, or not at all.
+#[test]
+fn a_flow_ends_with_the_address_that_it_came_by() {
+    for runtime in RUNTIMES {
+        let site = Site::claim();
+        let [first, second] = [site.public_address(), site.address(199)];
+        let both = site.configuration(&Settings { runtime, ..Settings::default() }).replacen(
+            &format!("[\"{first}\"]"),
+            &format!("[\"{first}\", \"{second}\"]"),
+            1,
+        );
+        let relay = Relay::start(&both, site.admin(), None);
+        let (client, node) = (site.client(), site.node(4));
+        exchange(&client, site.public(4), &node, 4);
+        let by_second = (second, site.public(4).port()).into();
+        let port = exchange(&client, by_second, &node, 4);
+
+        let third = site.address(198);
+        let line = relay.reload_to(&both.replacen(&first.to_string(), &third.to_string(), 1));
+        assert_eq!(line["settings_changed"], "[public] listen", "{line}");
+        assert_eq!(line["flows_closed"], 1, "{line}");
+        let closed = relay.process.logged("flow closed");
+        assert_eq!(closed[0]["public_address"], json!(first), "{}", closed[0]);
+        UdpSocket::bind(site.public(4)).expect("the port is free");
+        assert_eq!(exchange(&client, by_second, &node, 4), port);
+        exchange(&client, (third, site.public(4).port()).into(), &node, 4);
+        relay.finish();
+    }
+}
+
+/// Each fault alone leaves the relay as it was.
+#[test]
+fn what_cannot_come_into_force_changes_nothing() {
+    let site = Site::claim();
+    let sound = site.configuration(&Settings::default());
+    let relay = Relay::start(&sound, site.admin(), None);
+    let (client, node) = (site.client(), site.node(4));
+    let port = exchange(&client, site.public(4), &node, 4);
+    let (_, in_force) = relay.get("/api/v1/config").unwrap();
+    let started = relay.metrics().sum(SUCCESS_TIME, &[]);
+
+    let all = "listen = [\"0.0.0.0\"]";
+    let one = format!("listen = [\"{}\"]", site.public_address());
+    for (wrong, why) in [
+        (sound.replace("\"1-4\", 33", "\"1-4\", 126"), "the configuration is not sound"),
+        (sound.replace("secrets/section-1", "secrets/absent"), "the configuration is not sound"),
+        (sound.replace("[public]", "[public"), "the configuration is not sound"),
+        (sound.replace("workers = 1", "workers = 2"), "[runtime] workers cannot change"),
+        (sound.replace(":9378", ":9379"), "[admin] listen cannot change"),
+        (sound.replace("[admin]", "[admin]\nenabled = false"), "[admin] enabled cannot change"),
+        (sound.replacen(&one, all, 1), "[public] listen, between one address and all of them,"),
+        (sound.replace("start_port = 20000", "start_port = 600"), "CAP_NET_BIND_SERVICE"),
+        (
+            sound.replacen(&one, "listen = [\"192.0.2.1\"]", 1),
+            "192.0.2.1 is no address of this host",
+        ),
+    ] {
+        assert_ne!(wrong, sound);
+        relay.configure(&wrong);
+        let line = relay.reload();
+        let error = line["error"].as_str().unwrap();
+        assert!(line["message"] == "reload failed" && error.contains(why), "{line}");
+        assert_eq!(relay.metrics().sum(SUCCESSFUL, &[]), 0);
+        assert_eq!(relay.metrics().sum(SUCCESS_TIME, &[]), started);
+        assert_eq!(exchange(&client, site.public(4), &node, 4), port);
+        assert_eq!(relay.get("/api/v1/config").unwrap().1, in_force);
+    }
+    let faults = relay.process.logged("configuration fault");
+    assert_eq!(faults.len(), 3);
+    assert_eq!(faults[0]["key"], "udp_range_net[0].nodes[1]");
+    assert_eq!(faults[1]["key"], "udp_range_net[0].password[0].file");
+    for fault in faults {
+        assert!(fault["file"].as_str().unwrap().ends_with("pnet-nat.toml"), "{fault}");
+        assert!(fault["line"].as_u64().unwrap() > 1, "{fault}");
+        assert!(!fault["remedy"].as_str().unwrap().is_empty(), "{fault}");
+    }
+
+    let line = relay.reload_to(&sound);
+    assert_eq!(line["flows_closed"], 0, "{line}");
+    let mut lists = line.as_object().unwrap().iter().filter(|(key, _)| key.contains("s_"));
+    assert!(lists.all(|(key, value)| key == "flows_closed" || *value == ""), "{line}");
+    assert_eq!(relay.metrics().sum(SUCCESSFUL, &[]), 1);
+    assert_eq!(exchange(&client, site.public(4), &node, 4), port);
+    relay.finish();
+}
+
+/// Every setting that can change while it runs does.
+#[test]
+fn settings_follow_the_configuration() {
+    let site = Site::claim();
+    let relay = site.relay(Settings::default());
+    let (client, node) = (site.client(), site.node(4));
+    let port = exchange(&client, site.public(4), &node, 4);
+    let config = || serde_json::from_str::<Value>(&relay.get("/api/v1/config").unwrap().1).unwrap();
+    assert_eq!(
+        (&config()["prefilter"], &config()["busy_poll_seconds"]),
+        (&json!("auto"), &json!(0.0))
+    );
+    let changed = Settings {
+        net: "max_flows = 7",
+        runtime: "workers = 1\ndrain = \"200ms\"\nreceive_buffer = 8192",
+        sections: "[limits]\nprefilter = \"always\"\nbusy_poll = \"20us\"\nmax_flows = 99",
+        ..Settings::default()
+    };
+    let line = relay.reload_to(&site.configuration(&changed));
+    assert_eq!(line["settings_changed"], "[limits]; [runtime]", "{line}");
+    assert_eq!(line["nets_changed"], "section-1", "{line}");
+    let config = config();
+    assert_eq!(
+        (&config["prefilter"], &config["busy_poll_seconds"]),
+        (&json!("always"), &json!(20e-6))
+    );
+    assert_eq!((&config["max_flows"], &config["drain_seconds"]), (&json!(99), &json!(0.2)));
+    assert_eq!(config["receive_buffer_bytes"], 8192);
+    assert_eq!(relay.metrics().sum("pnet_nat_flow_limit", &[("net", "section-1")]), 7);
+    assert_eq!(exchange(&client, site.public(4), &node, 4), port);
+
+    // Another header: nothing of the old kind passes.
+    let line = relay.reload_to(
+        &(site.configuration(&Settings::default()) + "[protocol]\nheader = \"02000001\""),
+    );
+    assert_eq!(line["settings_changed"], "[protocol] header; [limits]; [runtime]", "{line}");
+    client.send(site.public(4), &request(4));
+    let mut other = request(4);
+    other[3] = 1;
+    client.send(site.public(4), &other);
+    node.expect(&other);
+    relay.expect_drops(&[("request", "bad_header", 1)]);
+    relay.finish();
+}
+
+#[test]
+fn the_admin_server_reloads_where_it_may() {
+    let site = Site::claim();
+    let off = site.configuration(&Settings::default());
+    let on = off.replace("[admin]", "[admin]\nreload = true");
+    let relay = Relay::start(&off, site.admin(), None);
+    relay.configure(&on);
+    let (status, text) = relay.post_reload();
+    assert!(status == 403 && text.contains("SIGHUP"), "{status} {text}");
+    assert_eq!(relay.get("/-/reload").unwrap().0, 405);
+    assert_eq!(relay.process.logged("reload").len(), 0);
+
+    relay.reload();
+    let more = on.replace("\"1-4\", 33", "\"1-4\", \"33-35\"");
+    relay.configure(&more);
+    let (status, text) = relay.post_reload();
+    let changes: Value = serde_json::from_str(&text).unwrap();
+    assert_eq!(status, 200);
+    assert_eq!(changes["mappings_added"], json!(["section-1: 34-35"]), "{text}");
+    assert_eq!(changes["nets_removed"], json!([]), "{text}");
+
+    relay.configure(&more.replace("allow =", "alow ="));
+    let (status, text) = relay.post_reload();
+    assert_eq!(status, 422);
+    assert!(text.contains("udp_range_net[0].alow") && text.contains("did you mean"), "{text}");
+    assert_eq!(text.lines().count(), 2, "the key that is missing, and the one that is too much");
+    assert_eq!(relay.metrics().sum(SUCCESSFUL, &[]), 0);
+
+    relay.configure(&off);
+    assert_eq!(relay.post_reload().0, 200);
+    assert_eq!(relay.post_reload().0, 403);
+    relay.finish();
+}
+
+#[test]
+fn file_descriptors_stay_as_many_over_200_reloads() {
+    let site = Site::claim();
+    let runtime = RUNTIMES[1];
+    let other = section("other", 21_000, "127.2.1.0");
+    let on = |sections: &str| {
+        let configuration =
+            site.configuration(&Settings { runtime, sections, ..Settings::default() });
+        configuration.replace("[admin]", "[admin]\nreload = true")
+    };
+    let (with, without) = (on(&other), on(""));
+    let relay = Relay::start(&with, site.admin(), None);
+    let descriptors = || fs::read_dir(format!("/proc/{}/fd", relay.process.id())).unwrap().count();
+    let mut counts = Vec::new();
+    for round in 0..200 {
+        relay.configure([&without, &with][round % 2]);
+        assert_eq!(relay.post_reload().0, 200);
+        if round % 2 == 1 {
+            counts.push(descriptors());
+        }
+    }
+    // The connection of a request may still be open.
+    let (least, most) = (counts.iter().min().unwrap(), counts.iter().max().unwrap());
+    assert!(most - least <= 2, "{counts:?}");
+    let (client, node) = (site.client(), site.node(4));
+    exchange(&client, site.public(4), &node, 4);
+    relay.finish();
+}
+
+#[test]
+fn a_flood_of_hangups_is_a_few_reloads() {
+    let site = Site::claim();
+    let relay = site.relay(Settings::default());
+    for _ in 0..500 {
+        relay.process.signal(Signal::SIGHUP);
+    }
+    let end = site.configuration(&Settings { net: "max_flows = 5", ..Settings::default() });
+    relay.configure(&end);
+    relay.process.signal(Signal::SIGHUP);
+    eventually("the last one counts", || {
+        (relay.metrics().sum("pnet_nat_flow_limit", &[]) == 5).then_some(())
+    });
+    let reloads = relay.process.logged("reload").len();
+    assert!(reloads < 250, "{reloads} reloads");
+    relay.finish();
+}
+
+/// systemd, played by a socket.
+#[test]
+fn the_service_manager_is_told() {
+    let site = Site::claim();
+    let folder = TempDir::new().unwrap();
+    let path = folder.path().join("notify");
+    let manager = UnixDatagram::bind(&path).unwrap();
+    manager.set_read_timeout(Some(PATIENCE)).unwrap();
+    let next = || {
+        let mut octets = [0; 1024];
+        let length = manager.recv(&mut octets).unwrap();
+        String::from_utf8(octets[..length].to_vec()).unwrap()
+    };
+    // The next message that is no ping.
+    let next_state = || loop {
+        let message = next();
+        if message.trim_end() != "WATCHDOG=1" {
+            return message;
+        }
+    };
+    let configuration = site.configuration(&Settings::default());
+    let environment = [("NOTIFY_SOCKET", path.to_str().unwrap()), ("WATCHDOG_USEC", "2000000")];
+    let mut relay = Relay::start_as(&configuration, site.admin(), |arguments| {
+        let mut command = pnet_nat(arguments);
+        command.envs(environment);
+        command
+    });
+    let ready = next_state();
+    assert!(ready.starts_with("READY=1\nSTATUS=relaying; nets: 1, public ports: 5"), "{ready}");
+    for _ in 0..3 {
+        assert_eq!(next().trim_end(), "WATCHDOG=1");
+    }
+
+    relay.configure(&configuration.replace("\"1-4\"", "\"1-3\""));
+    for (result, status) in [
+        ("reload", "STATUS=relaying; nets: 1, public ports: 4"),
+        ("reload failed", "STATUS=reload failed, as before: relaying; nets: 1, public ports: 4"),
+    ] {
+        assert_eq!(relay.reload()["message"], result);
+        let reloading = next_state();
+        let time = reloading.strip_prefix("RELOADING=1\nMONOTONIC_USEC=").expect(&reloading);
+        let time: u64 = time.split('\n').next().unwrap().parse().unwrap();
+        let uptime = fs::read_to_string("/proc/uptime").unwrap();
+        let uptime: f64 = uptime.split(' ').next().unwrap().parse().unwrap();
+        assert!((uptime - time as f64 / 1e6).abs() < 20.0, "{time} µs, up {uptime} s");
+        let ready = next_state();
+        assert!(ready.starts_with("READY=1\n") && ready.contains(status), "{ready}");
+        relay.configure("no TOML");
+    }
+    relay.process.signal(Signal::SIGTERM);
+    assert!(next_state().starts_with("STOPPING=1\n"));
+    assert_eq!(relay.process.end(), Some(0));
+}
+
+/// A reload while requests wait at the node: their answers find the way back.
+#[test]
+fn answers_that_are_due_cross_a_reload() {
+    let site = Site::claim();
+    let relay = site.relay(Settings::default());
+    let (client, node) = (site.client(), site.node(4));
+    client.send(site.public(4), &request(4));
+    let way_back = node.expect(&request(4));
+    let other = section("other", 21_000, "127.2.1.0");
+    let first = site.configuration(&Settings::default());
+    relay.reload_to(&led_by(&other, &first));
+    node.send(way_back, &response(4));
+    assert_eq!(client.expect(&response(4)), site.public(4));
+    relay.reload_to(&first);
+    assert_eq!(exchange(&client, site.public(4), &node, 4), way_back.port());
+    relay.finish();
+}
