@@ -32,7 +32,7 @@ pub(super) struct NetSums<'a> {
     pub(super) nodes: Vec<(String, NodeTotals)>,
     /// The net itself; none for strays, which belong to no net.
     pub(super) net: Option<(&'a Net, NetTotals)>,
-    /// Asks the kernel about every public socket of the net, so only when it is wanted.
+    /// Asks the kernel about every public socket of a net, so only when it is wanted.
     pub(super) kernel_drops: Box<dyn Fn() -> KernelDrops + 'a>,
     /// The router's start as Unix time, in seconds.
     pub(super) started_at: f64,
@@ -111,8 +111,9 @@ pub(super) const NET_FAMILIES: &[NetFamily] = &[
     },
     NetFamily {
         name: "pnet_nat_kernel_dropped_datagrams_total",
-        help: "Datagrams that the kernel dropped on public sockets: overflow, a buffer was full; \
-               prefilter, the same while the prefilter was on, or refused by it.",
+        help: "Datagrams that the kernel dropped on a net's public sockets, or, of net none, on \
+               upstream sockets: overflow, a buffer was full; prefilter, the same while the \
+               prefilter was on, or refused by it.",
         kind: MetricType::COUNTER,
         samples: kernel_drops,
     },
@@ -195,10 +196,9 @@ fn flows_closed(sums: &NetSums<'_>) -> Vec<Metric> {
 }
 
 fn kernel_drops(sums: &NetSums<'_>) -> Vec<Metric> {
-    of_net(sums, |&[label], _, _| {
-        let causes = (sums.kernel_drops)().by_cause();
-        causes.map(|(cause, drops)| counter(&[label, ("cause", cause)], drops)).into()
-    })
+    let causes = (sums.kernel_drops)().by_cause();
+    let sample = |(cause, drops)| counter(&[("net", sums.label), ("cause", cause)], drops);
+    causes.map(sample).into()
 }
 
 fn response_times(sums: &NetSums<'_>) -> Vec<Metric> {

@@ -25,7 +25,7 @@ use self::families::{
     NET_FAMILIES, NetFamily, NetSums, ROUTER_FAMILIES, RouterFamily, RouterState,
 };
 use self::totals::{NetTotals, NodeTotals};
-use crate::net::{InForce, KernelDrops, Router};
+use crate::net::{InForce, Router};
 use crate::relay::NetId;
 use crate::sandbox::Sandbox;
 
@@ -129,7 +129,7 @@ fn stray_sums(in_force: &InForce, started_at: f64) -> NetSums<'_> {
         label: STRAY_NET,
         nodes: vec![(STRAY_NODE.to_owned(), NodeTotals::of_strays(&in_force.counters))],
         net: None,
-        kernel_drops: Box::new(KernelDrops::default),
+        kernel_drops: Box::new(|| in_force.upstream_kernel_drops()),
         started_at,
     }
 }

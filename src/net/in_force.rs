@@ -18,7 +18,7 @@ pub struct InForce {
     pub config: Config,
     /// The counters of each worker; a figure of the router is their sum.
     pub counters: Vec<Arc<Counters>>,
-    /// Of each net.
+    /// Of each net, and last of the upstream sockets, which belong to none.
     drops: Vec<Arc<NetDrops>>,
     /// Of each worker.
     listeners: Mutex<Vec<Listeners>>,
@@ -42,6 +42,16 @@ impl InForce {
             }
         }
         self.drops[usize::from(net.0)].get()
+    }
+
+    /// Datagrams that the kernel dropped on upstream sockets, up to a second late.
+    pub fn upstream_kernel_drops(&self) -> KernelDrops {
+        self.drops.last().map_or_else(KernelDrops::default, |drops| drops.get())
+    }
+
+    /// The figures behind [`upstream_kernel_drops`](Self::upstream_kernel_drops).
+    pub(super) fn drops_upstream(&self) -> Option<&Arc<NetDrops>> {
+        self.drops.last()
     }
 
     /// The public sockets of each worker.

@@ -40,14 +40,15 @@ pub(super) struct Listener {
 #[derive(Clone, Debug, Default)]
 pub(super) struct Listeners(Vec<Option<Listener>>);
 
-/// What the kernel dropped on a net's public sockets, also on those that were closed since.
+/// What the kernel dropped on a net's public sockets, or on all upstream sockets, also on those that
+/// were closed since.
 #[derive(Debug, Default)]
 pub(super) struct NetDrops {
     overflow: AtomicU64,
     prefilter: AtomicU64,
 }
 
-/// Datagrams that the kernel dropped on public sockets.
+/// Datagrams that the kernel dropped on sockets of ours.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct KernelDrops {
     /// While no prefilter was on: a buffer was full, or memory short.
@@ -70,6 +71,11 @@ impl NetDrops {
             overflow: self.overflow.load(Relaxed),
             prefilter: self.prefilter.load(Relaxed),
         }
+    }
+
+    /// Adds datagrams that a full buffer had no room for.
+    pub(super) fn add_overflow(&self, datagrams: u32) {
+        self.overflow.fetch_add(datagrams.into(), Relaxed);
     }
 }
 

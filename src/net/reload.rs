@@ -80,7 +80,7 @@ impl Router {
         let known = old.drops_by_name();
         let drops_of = |net: &Net| known.get(net.name.as_str()).copied().cloned();
         let drops = config.table.nets().iter().map(|net| drops_of(net).unwrap_or_default());
-        let drops: Vec<Arc<NetDrops>> = drops.collect();
+        let drops: Vec<Arc<NetDrops>> = drops.chain(old.drops_upstream().cloned()).collect();
         let before = old.listeners().clone();
         let listeners = bind::open(&config, &drops, &before, self.workers.len())?;
         for ((worker, next), before) in self.workers.iter().zip(&listeners).zip(&before) {

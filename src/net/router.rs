@@ -81,8 +81,9 @@ impl Router {
     pub fn bind(config: Config) -> Result<Bound, StartError> {
         let started = Instant::now();
         let plan = descriptors::plan(addresses(&config), config.runtime.workers)?;
-        let drops: Vec<Arc<NetDrops>> =
-            config.table.nets().iter().map(|_| Arc::default()).collect();
+        let of_nets = config.table.nets().iter().map(|_| Arc::default());
+        let of_upstream: Arc<NetDrops> = Arc::default();
+        let drops: Vec<_> = of_nets.chain([Arc::clone(&of_upstream)]).collect();
         let listeners = bind::open(&config, &drops, &[], plan.workers)?;
         bind::tell_short_buffers(&config, &listeners);
 
@@ -93,8 +94,15 @@ impl Router {
             let counter = Arc::new(Counters::new(&config.table));
             let core =
                 Core::new(rules.clone(), Arc::clone(&counter), started, fastrand::Rng::new());
-            let (handle, worker) =
-                build_worker(&config, core, listeners.clone(), &plan, started, &audit)?;
+            let (handle, worker) = build_worker(
+                &config,
+                core,
+                listeners.clone(),
+                &plan,
+                started,
+                &audit,
+                &of_upstream,
+            )?;
             handles.push(handle);
             counters.push(counter);
             workers.push(worker);
@@ -214,6 +222,7 @@ fn build_worker(
     plan: &Plan,
     started: Instant,
     audit: &Arc<Audit>,
+    upstream_drops: &Arc<NetDrops>,
 ) -> Result<(Handle, Worker), StartError> {
     let epoll = Arc::new(Epoll::new(EpollCreateFlags::EPOLL_CLOEXEC).map_err(io::Error::from)?);
     worker::watch(&epoll, &listeners, &Listeners::default())?;
@@ -226,6 +235,7 @@ fn build_worker(
         listeners,
         table: Arc::clone(&config.table),
         audit: Arc::clone(audit),
+        upstream_drops: Arc::clone(upstream_drops),
         upstream_limit: plan.upstreams,
         runtime: config.runtime.clone(),
         started,

@@ -4,6 +4,7 @@
 //! Which flow uses which socket is the core's affair; here they are opened, watched and closed.
 
 use std::io;
+use std::mem;
 use std::os::fd::{AsFd, BorrowedFd};
 use std::sync::Arc;
 
@@ -15,20 +16,29 @@ use crate::relay::{CloseReason, FlowRecord, MappingId, Shell, Table, Throttled, 
 use super::audit::Audit;
 use super::complaints::Complaints;
 use super::place::Place;
+use super::public::NetDrops;
 use super::socket;
 
 /// The upstream sockets, and with them the core's [`Shell`].
 pub(super) struct UpstreamSockets {
     epoll: Arc<Epoll>,
     /// By [`UpstreamId`].
-    sockets: Vec<Option<Socket>>,
+    sockets: Vec<Option<Upstream>>,
     open: usize,
     flows_closed: usize,
     limit: usize,
     receive_buffer: usize,
     table: Arc<Table>,
     audit: Arc<Audit>,
+    drops: Arc<NetDrops>,
     complaints: Complaints,
+}
+
+#[derive(Debug)]
+struct Upstream {
+    socket: Socket,
+    /// What of the kernel's figure of drops is accounted for.
+    seen: u32,
 }
 
 impl UpstreamSockets {
@@ -39,17 +49,27 @@ impl UpstreamSockets {
         receive_buffer: usize,
         table: Arc<Table>,
         audit: Arc<Audit>,
+        drops: Arc<NetDrops>,
     ) -> Self {
-        let complaints = Complaints::default();
-        let (sockets, open, flows_closed) = (Vec::new(), 0, 0);
-        Self { epoll, sockets, open, flows_closed, limit, receive_buffer, table, audit, complaints }
+        Self {
+            epoll,
+            sockets: Vec::new(),
+            open: 0,
+            flows_closed: 0,
+            limit,
+            receive_buffer,
+            table,
+            audit,
+            drops,
+            complaints: Complaints::default(),
+        }
     }
 
     /// Goes over to another configuration. Sockets beyond a lower limit stay open.
     pub(super) fn reload(&mut self, limit: usize, receive_buffer: usize, table: Arc<Table>) {
         if receive_buffer != self.receive_buffer {
-            for socket in self.sockets.iter().flatten() {
-                if let Err(error) = socket.set_recv_buffer_size(receive_buffer) {
+            for upstream in self.sockets.iter().flatten() {
+                if let Err(error) = upstream.socket.set_recv_buffer_size(receive_buffer) {
                     self.complaints.note(&error, "cannot change a receive buffer");
                 }
             }
@@ -64,7 +84,12 @@ impl UpstreamSockets {
 
     /// The socket with this index, if it is open.
     pub(super) fn get(&self, id: UpstreamId) -> Option<BorrowedFd<'_>> {
-        self.sockets.get(id.0 as usize)?.as_ref().map(Socket::as_fd)
+        Some(self.sockets.get(id.0 as usize)?.as_ref()?.socket.as_fd())
+    }
+
+    /// Adds up what the kernel dropped since the last call. To be called about once a second.
+    pub(super) fn account(&mut self) {
+        self.sockets.iter_mut().flatten().for_each(|upstream| upstream.account(&self.drops));
     }
 
     fn open(&mut self, id: UpstreamId, ipv4: bool) -> io::Result<u16> {
@@ -74,9 +99,17 @@ impl UpstreamSockets {
         if self.sockets.len() <= index {
             self.sockets.resize_with(index + 1, || None);
         }
-        self.sockets[index] = Some(socket);
+        self.sockets[index] = Some(Upstream { socket, seen: 0 });
         self.open += 1;
         Ok(port)
+    }
+}
+
+impl Upstream {
+    fn account(&mut self, drops: &NetDrops) {
+        // A figure that cannot be read now is read the next time.
+        let Ok(now) = socket::kernel_drops(&self.socket) else { return };
+        drops.add_overflow(now.wrapping_sub(mem::replace(&mut self.seen, now)));
     }
 }
 
@@ -96,7 +129,8 @@ impl Shell for UpstreamSockets {
 
     fn close_upstream(&mut self, id: UpstreamId) {
         // Closing takes it out of epoll.
-        if self.sockets[id.0 as usize].take().is_some() {
+        if let Some(mut upstream) = self.sockets[id.0 as usize].take() {
+            upstream.account(&self.drops);
             self.open -= 1;
         }
     }

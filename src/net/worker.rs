@@ -27,7 +27,7 @@ use super::complaints::Complaints;
 use super::flood::FloodGuard;
 use super::place::Place;
 use super::prefilter;
-use super::public::{Listener, Listeners};
+use super::public::{Listener, Listeners, NetDrops};
 use super::upstream::UpstreamSockets;
 
 /// How often flows are looked through for idle ones.
@@ -91,6 +91,7 @@ pub(super) struct Parts {
     pub listeners: Listeners,
     pub table: Arc<Table>,
     pub audit: Arc<Audit>,
+    pub upstream_drops: Arc<NetDrops>,
     pub upstream_limit: usize,
     pub runtime: Runtime,
     pub started: Instant,
@@ -127,6 +128,7 @@ impl Worker {
                 parts.runtime.receive_buffer,
                 parts.table,
                 parts.audit,
+                parts.upstream_drops,
             ),
             epoll: parts.epoll,
             batch: Batch::new(),
@@ -164,6 +166,7 @@ impl Worker {
             self.busy.note(now, ready);
             if now >= self.next_tick {
                 self.core.expire(now, &mut self.upstream);
+                self.upstream.account();
                 self.floods.look(&self.listeners);
                 self.next_tick = now + TICK;
             }

@@ -1,7 +1,7 @@
 //! Queues and buffers of the kernel that are full.
 
 use super::Sections;
-use crate::harness::{Settings, Site, exchange, request, response};
+use crate::harness::{Settings, Site, eventually, exchange, request, response};
 
 /// The queue of section 1's interface takes next to nothing. Of what it refuses, the kernel tells
 /// nobody but its own figures: to the relay it is forwarded.
@@ -57,6 +57,32 @@ fn a_full_buffer_of_a_public_port() {
         node.expect(&request(4));
     }
     assert_eq!(exchange(&client, site.public(4), &node, 4), port);
+    relay.expect_drops(&[]);
+    relay.finish();
+}
+
+/// Answers come faster than the relay takes them: those that find no room are lost, and counted.
+#[test]
+fn a_full_buffer_of_an_upstream_socket() {
+    let site = Site::claim();
+    let runtime = "workers = 1\nreceive_buffer = 4096\ndrain = \"100ms\"";
+    let relay = site.relay(Settings { runtime, ..Settings::default() });
+    let (client, node, other) = (site.client(), site.node(4), site.client());
+    let port = exchange(&client, site.public(4), &node, 4);
+    relay.process.hold();
+    for _ in 0..200 {
+        node.send((site.public_address(), port).into(), &response(4));
+    }
+    relay.process.go_on();
+    let overflow = [("net", "none"), ("cause", "overflow")];
+    let lost = || relay.metrics().sum("pnet_nat_kernel_dropped_datagrams_total", &overflow);
+    let lost = eventually("the kernel's drops are counted", || Some(lost()).filter(|&n| n > 0));
+    assert!((100..200).contains(&lost), "{lost}");
+    for _ in 0..200 - lost {
+        client.expect(&response(4));
+    }
+    assert_eq!(exchange(&client, site.public(4), &node, 4), port);
+    exchange(&other, site.public(4), &node, 4);
     relay.expect_drops(&[]);
     relay.finish();
 }
