@@ -15,6 +15,7 @@ mod fail2ban;
 mod faults;
 mod floods;
 mod harness;
+mod killed;
 mod namespaces;
 mod nat;
 mod relaying;

@@ -147,7 +147,8 @@ impl Site {
 pub(crate) struct Relay {
     pub(crate) process: Process,
     admin: SocketAddr,
-    folder: TempDir,
+    /// Of its configuration.
+    pub(crate) folder: TempDir,
 }
 
 impl Relay {
