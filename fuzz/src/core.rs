@@ -1,0 +1,371 @@
+//! A core under any sequence of datagrams, time, want of sockets and new configurations.
+//!
+//! The input is read as a list of steps. What must hold is said of what comes out, through the
+//! core's public face alone: nothing passes without a password, nothing is remembered of what is
+//! dropped, an answer reaches the one client that it belongs to, and every datagram is counted.
+
+mod input;
+mod tables;
+
+use std::collections::HashMap;
+use std::net::{IpAddr, SocketAddr};
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use fastrand::Rng;
+use pnet_nat::relay::{
+    Arrival, CloseReason, Core, Counters, Direction, DropReason, FlowRecord, ListenerId, MappingId,
+    Rules, Shell, Table, Throttled, ToClient, UpstreamId,
+};
+use pnet_nat::wire::{BNA, Datagram, Header, Password};
+
+use input::Input;
+
+/// N-9.
+const REST: Duration = Duration::from_secs(120);
+/// Beyond that, any number of wrong passwords is forgiven.
+const LONGEST_THROTTLING: Duration = Duration::from_secs(3600);
+const DIRECTIONS: [Direction; 2] = [Direction::Request, Direction::Response];
+
+const CLIENTS: [&str; 8] = [
+    "198.51.100.1:1000",
+    "198.51.100.1:1001",
+    "198.51.100.2:1000",
+    "198.51.100.9:1000",
+    "[2001:db8::1]:1000",
+    "[2001:db8::2]:1000",
+    "[::ffff:198.51.100.3]:1000",
+    "203.0.113.1:1000", // outside every allow list
+];
+const PUBLIC: [&str; 2] = ["192.0.2.1", "2001:db8:1::1"];
+
+/// Takes the octets as steps, and looks at everything after each.
+pub fn holds(octets: &[u8]) {
+    let mut input = Input::new(octets);
+    let mut world = World::new(&mut input);
+    while !input.is_over() {
+        world.step(&mut input);
+        world.check();
+    }
+    world.end();
+}
+
+struct World {
+    core: Core,
+    counters: Arc<Counters>,
+    sockets: Sockets,
+    now: Instant,
+    rules: Rules,
+    /// Places in use that a lower limit came too late for: of each net, and of all.
+    flows_before_reload: Vec<usize>,
+    /// What nodes got, and through which socket.
+    at_nodes: Vec<(UpstreamId, SocketAddr, Vec<u8>)>,
+    /// Who had a (port, server) last, and until when.
+    users: HashMap<(u16, SocketAddr), (SocketAddr, Instant)>,
+}
+
+/// The world as the core sees it. A port is given again as soon as it is free.
+#[derive(Default)]
+struct Sockets {
+    limit: usize,
+    ports: HashMap<UpstreamId, u16>,
+    opened_flows: usize,
+    closed_flows: usize,
+    /// Since it was last looked at.
+    just_closed: Vec<FlowRecord>,
+    throttled: usize,
+}
+
+impl Shell for Sockets {
+    fn open_upstream(&mut self, id: UpstreamId, ipv4: bool) -> Option<u16> {
+        assert!(ipv4 && !self.ports.contains_key(&id), "opened twice");
+        if self.ports.len() >= self.limit {
+            return None;
+        }
+        let port = (50_000..).find(|port| self.ports.values().all(|other| other != port))?;
+        self.ports.insert(id, port);
+        Some(port)
+    }
+
+    fn close_upstream(&mut self, id: UpstreamId) {
+        self.ports.remove(&id).expect("closes what it opened");
+    }
+
+    fn flow_opened(&mut self, flow: &FlowRecord) {
+        assert!(self.ports.values().any(|&port| port == flow.upstream_port));
+        self.opened_flows += 1;
+    }
+
+    fn flow_closed(&mut self, flow: &FlowRecord, _: CloseReason) {
+        self.closed_flows += 1;
+        self.just_closed.push(flow.clone());
+    }
+
+    fn throttling_begun(&mut self, _: &Throttled, _: MappingId) {
+        self.throttled += 1;
+    }
+
+    fn throttling_ended(&mut self, _: &Throttled) {
+        self.throttled = self.throttled.checked_sub(1).expect("it began");
+    }
+}
+
+impl World {
+    fn new(input: &mut Input<'_>) -> Self {
+        let now = Instant::now();
+        let rules = tables::rules(input);
+        let counters = Arc::new(Counters::new(&rules.table));
+        let core = Core::new(rules.clone(), Arc::clone(&counters), now, Rng::with_seed(1));
+        let sockets = Sockets { limit: 8, ..Sockets::default() };
+        let flows_before_reload = vec![0; rules.table.nets().len() + 1];
+        let (at_nodes, users) = (Vec::new(), HashMap::new());
+        Self { core, counters, sockets, now, rules, flows_before_reload, at_nodes, users }
+    }
+
+    fn step(&mut self, input: &mut Input<'_>) {
+        match input.octet() {
+            0..=127 => self.request(input),
+            128..=207 => self.response(input),
+            208..=239 => self.pass_time(input),
+            240..=243 => self.sockets.limit = usize::from(input.octet() % 12),
+            _ => self.reload(input),
+        }
+    }
+
+    fn flows(&self) -> Vec<FlowRecord> {
+        self.core.flows(self.now).collect()
+    }
+
+    fn request(&mut self, input: &mut Input<'_>) {
+        let table = Arc::clone(&self.rules.table);
+        let id = input.choice(&table.mapping_ids().collect::<Vec<_>>());
+        let (mapping, listener) = (table.mapping(id), ListenerId(id.0));
+        let net = table.net(mapping.net);
+        let client: SocketAddr = input.choice(&CLIENTS).parse().unwrap();
+        let public_address: IpAddr = input.choice(&PUBLIC).parse().unwrap();
+        let arrival = Arrival { listener, mapping: id, public_address, client };
+        let sent = input.datagram(mapping.node_address);
+
+        let before = self.flows();
+        let is_its = |flow: &FlowRecord| {
+            (flow.client, flow.public_address, flow.mapping) == (client, public_address, id)
+        };
+        let known = before.iter().any(is_its);
+        let mut got = sent.clone();
+        let verdict = self.core.request(self.now, &arrival, &mut got, &mut self.sockets);
+        let after = self.flows();
+        let to = match verdict {
+            Ok(to) => to,
+            Err(reason) => {
+                assert!(DropReason::REQUEST.contains(&reason), "{reason:?}");
+                assert!(reason != DropReason::SendFailed, "nothing was sent");
+                assert_eq!(got, sent, "a dropped datagram stays as it was");
+                assert_eq!(after, before, "nothing is remembered of it");
+                return;
+            }
+        };
+
+        assert_eq!(to.server, mapping.server, "R-9");
+        assert!(known || net.allows(client.ip()), "a flow of a source that is not allowed");
+        assert_eq!(after.len(), before.len() + usize::from(!known));
+        let flow = after.iter().find(|flow| is_its(flow)).expect("it has a flow");
+        assert_eq!((flow.upstream_port, flow.idle), (self.sockets.ports[&to.via], Duration::ZERO));
+        let datagram = Datagram::parse(&sent, Header::default()).expect("R-5");
+        let route = datagram.route();
+        assert_eq!(route.node_address(), Some(mapping.node_address), "R-10");
+        assert!(route.destinations().all(|element| element < BNA), "R-43");
+        let credential = flow.credential.map(|index| &net.credentials[index]);
+        assert_eq!(datagram.password(), credential.map(|is| is.password.octets()), "R-7");
+        assert!(credential.is_some() || net.allow_without_password, "R-3");
+        let expected = with_password(&sent, credential.map(|is| is.at_server()));
+        assert_eq!(got, expected, "R-8");
+
+        self.use_pair(flow.upstream_port, to.server, client);
+        if input.octet() % 16 == 15 {
+            return self.core.send_failed(id, Direction::Request);
+        }
+        self.core.sent(id, Direction::Request, got.len());
+        self.at_nodes.push((to.via, to.server, got));
+    }
+
+    fn response(&mut self, input: &mut Input<'_>) {
+        let table = Arc::clone(&self.rules.table);
+        let (via, server, sent) = if self.at_nodes.is_empty() || input.octet() % 8 == 7 {
+            let servers: Vec<_> = table.mappings().iter().map(|mapping| mapping.server).collect();
+            let stray: SocketAddr = "172.17.17.99:34379".parse().unwrap();
+            let server = input.choice(&[&servers[..], &[stray]].concat());
+            (UpstreamId(u32::from(input.octet() % 12)), server, input.datagram(1))
+        } else {
+            // Of a response, the core looks at the format and the password: an echo will do.
+            let index = usize::from(input.octet()) % self.at_nodes.len();
+            let (via, server, mut octets) = self.at_nodes[index].clone();
+            if input.octet() % 8 == 7 {
+                octets.truncate(octets.len().saturating_sub(Password::LEN));
+            }
+            input.damage(&mut octets);
+            (via, server, octets)
+        };
+
+        let before = self.flows();
+        let port = self.sockets.ports.get(&via);
+        let is_its = |flow: &&FlowRecord| {
+            Some(&flow.upstream_port) == port && table.mapping(flow.mapping).server == server
+        };
+        let flow = before.iter().find(is_its);
+        assert!(before.iter().filter(is_its).count() <= 1, "whose answer is it?");
+        let mut got = sent.clone();
+        let to = match self.core.response(self.now, via, server, &mut got) {
+            Ok(to) => to,
+            Err(reason) => {
+                assert!(DropReason::RESPONSE.contains(&reason), "{reason:?}");
+                assert_eq!(reason == DropReason::UnknownFlow, flow.is_none());
+                assert_eq!(got, sent, "a dropped datagram stays as it was");
+                assert_eq!(self.flows(), before, "nothing is remembered of it");
+                return;
+            }
+        };
+
+        let flow = flow.expect("it has a flow");
+        let (public_address, client, mapping) = (flow.public_address, flow.client, flow.mapping);
+        let expected = ToClient { via: ListenerId(mapping.0), public_address, client, mapping };
+        assert_eq!(to, expected, "an answer to another client, or from elsewhere");
+        let net = table.net(table.mapping(mapping).net);
+        let credential = flow.credential.map(|index| &net.credentials[index]);
+        match Datagram::parse(&sent, Header::default()).expect("R-5").password() {
+            Some(password) => {
+                let at_server = credential.map(|is| is.at_server().octets());
+                assert_eq!(at_server, Some(password), "A16");
+                let expected = with_password(&sent, credential.map(|is| &is.password));
+                assert_eq!(got, expected, "R-8");
+            }
+            None => {
+                assert!(!net.require_response_password, "A16");
+                assert_eq!(got, sent, "R-8");
+            }
+        }
+        self.use_pair(flow.upstream_port, server, client);
+        match input.octet() % 16 {
+            15 => self.core.send_failed(mapping, Direction::Response),
+            _ => self.core.sent(mapping, Direction::Response, got.len()),
+        }
+    }
+
+    fn use_pair(&mut self, port: u16, server: SocketAddr, client: SocketAddr) {
+        let previous = self.users.insert((port, server), (client, self.now));
+        if let Some((other, last)) = previous.filter(|(other, _)| *other != client) {
+            assert!(self.now - last >= REST, "N-9: the port of {other} for {client}");
+        }
+    }
+
+    fn give_up_pairs(&mut self, table: &Table) {
+        for flow in std::mem::take(&mut self.sockets.just_closed) {
+            let pair = (flow.upstream_port, table.mapping(flow.mapping).server);
+            self.users.insert(pair, (flow.client, self.now));
+        }
+    }
+
+    fn pass_time(&mut self, input: &mut Input<'_>) {
+        let unit = input.choice(&[1, 250, 5_000, 60_000, 3_600_000]);
+        self.now += Duration::from_millis(unit * u64::from(input.octet()));
+        let table = Arc::clone(&self.rules.table);
+        let is_lively =
+            |flow: &FlowRecord| flow.idle < table.net(table.mapping(flow.mapping).net).idle_timeout;
+        let mut lively = self.flows();
+        lively.retain(is_lively);
+        self.core.expire(self.now, &mut self.sockets);
+        assert_eq!(self.flows(), lively, "N-2, N-3: closed too early or too late");
+        self.give_up_pairs(&table);
+    }
+
+    /// Flows that live on keep client, port, server and passwords; nothing new opens.
+    fn reload(&mut self, input: &mut Input<'_>) {
+        let rules = tables::rules(input);
+        let (old, new) = (Arc::clone(&self.rules.table), Arc::clone(&rules.table));
+        let listener = |listener: ListenerId| {
+            let port = old.mappings()[listener.0 as usize].public_port;
+            let id = new.mapping_ids().find(|&id| new.mapping(id).public_port == port)?;
+            Some(ListenerId(id.0))
+        };
+        let before: Vec<_> = self.flows().iter().map(|flow| lasting(&old, flow)).collect();
+        self.counters = self.core.reload(self.now, &rules, listener, &mut self.sockets);
+        self.give_up_pairs(&old);
+        self.rules = rules;
+        for flow in &self.flows() {
+            assert!(before.contains(&lasting(&new, flow)), "{flow:?} was another one before");
+            let net = new.net(new.mapping(flow.mapping).net);
+            assert!(net.allows(flow.client.ip()), "{flow:?} has no right any more");
+        }
+        self.flows_before_reload = self.open_flows();
+    }
+
+    /// Flows of each net, and of all.
+    fn open_flows(&self) -> Vec<usize> {
+        let table = &self.rules.table;
+        let mut open = vec![0; table.nets().len() + 1];
+        for flow in self.core.flows(self.now) {
+            open[usize::from(table.mapping(flow.mapping).net.0)] += 1;
+            *open.last_mut().unwrap() += 1;
+        }
+        open
+    }
+
+    fn check(&self) {
+        let (table, open) = (&self.rules.table, self.open_flows());
+        assert_eq!(open[table.nets().len()], self.sockets.opened_flows - self.sockets.closed_flows);
+        for (net, &open) in table.net_ids().zip(&open) {
+            assert_eq!(self.counters.net(net).flows.get(), open as u64, "{net:?}");
+        }
+        let limits = table.nets().iter().map(|net| net.max_flows);
+        let limits = limits.chain([self.rules.limits.max_flows]);
+        for ((&open, limit), &before) in open.iter().zip(limits).zip(&self.flows_before_reload) {
+            assert!(open <= before.max(limit as usize), "N-8: {open} flows, limit {limit}");
+        }
+        let nodes = table.mapping_ids().map(|id| self.counters.node(id));
+        for node in nodes.chain([&self.counters.stray]) {
+            for direction in DIRECTIONS.map(|direction| node.direction(direction)) {
+                let accounted = direction.forwarded.get() + direction.dropped_total();
+                assert_eq!(direction.received.get(), accounted, "the law of the counters");
+            }
+        }
+    }
+
+    /// Nothing is left behind.
+    fn end(mut self) {
+        self.core.shut_down(self.now, &mut self.sockets);
+        self.check();
+        assert_eq!(self.flows(), []);
+        self.now += REST;
+        self.core.expire(self.now, &mut self.sockets);
+        assert!(self.sockets.ports.is_empty(), "sockets stay open");
+        self.now += LONGEST_THROTTLING;
+        self.core.expire(self.now, &mut self.sockets);
+        assert_eq!(self.sockets.throttled, 0, "throttled for ever");
+        assert!(self.core.is_idle() && !self.core.awaits_answers(self.now));
+        let nets = self.rules.table.net_ids();
+        assert!(nets.into_iter().all(|net| self.counters.net(net).flows.get() == 0));
+    }
+}
+
+/// The octets with this password in the place of theirs.
+fn with_password(octets: &[u8], password: Option<&Password>) -> Vec<u8> {
+    match password {
+        Some(password) => [&octets[..octets.len() - Password::LEN], password.octets()].concat(),
+        None => octets.to_vec(),
+    }
+}
+
+/// What a new configuration leaves as it is.
+fn lasting(
+    table: &Table,
+    flow: &FlowRecord,
+) -> (SocketAddr, IpAddr, String, [u16; 2], [[u8; 8]; 2]) {
+    let mapping = table.mapping(flow.mapping);
+    let net = table.net(mapping.net);
+    let passwords = flow.credential.map_or([[0; 8]; 2], |index| {
+        let is = &net.credentials[index];
+        [is.password.octets(), is.at_server().octets()].map(|octets| *octets)
+    });
+    let way = format!("{} {} {}", net.name, mapping.node_address, mapping.server);
+    let ports = [mapping.public_port, flow.upstream_port];
+    (flow.client, flow.public_address, way, ports, passwords)
+}

@@ -1,0 +1,68 @@
+//! Octets of a fuzzer as choices, and as datagrams: sound ones, damaged ones, any at all.
+
+use pnet_nat::wire::MAX_DATAGRAM;
+
+/// What clients may try as a password.
+const PASSWORDS: [&[u8; 8]; 5] = [b"service!", b"rotated!", b"press!!!", b"device!!", b"gu3ss3d!"];
+
+/// What is left of the input. At its end every choice is the first one.
+pub(super) struct Input<'a>(&'a [u8]);
+
+impl<'a> Input<'a> {
+    pub(super) fn new(octets: &'a [u8]) -> Self {
+        Self(octets)
+    }
+
+    pub(super) fn is_over(&self) -> bool {
+        self.0.is_empty()
+    }
+
+    pub(super) fn octet(&mut self) -> u8 {
+        let Some((&octet, rest)) = self.0.split_first() else { return 0 };
+        self.0 = rest;
+        octet
+    }
+
+    pub(super) fn choice<T: Clone>(&mut self, among: &[T]) -> T {
+        among[usize::from(self.octet()) % among.len()].clone()
+    }
+
+    /// A request to this node, more or less.
+    pub(super) fn datagram(&mut self, node_address: u8) -> Vec<u8> {
+        let shape = self.octet();
+        if shape >= 0xF0 {
+            let length = usize::from(self.octet()).min(MAX_DATAGRAM + 1).min(self.0.len());
+            let (octets, rest) = self.0.split_at(length);
+            self.0 = rest;
+            return octets.to_vec();
+        }
+        let route: &[u8] = match shape % 4 {
+            0 => &[0x0B, node_address, 0x8B, 0x83], // Extended
+            1 => &[0x0B, node_address, 0x04, 0x05, 0x8B, 0x83, 0x80], // IP, wants no answer
+            _ => &[0x0B, node_address, 0x05, 0x02, 0x21, 0x8B, 0x83, 0x9F], // PAS Figure 10
+        };
+        let password = PASSWORDS[usize::from(shape / 4) % PASSWORDS.len()];
+        let mut octets = [&[2, 0, 0, 0], route, &[0x0C, 2, 0x11, 0x22], password].concat();
+        if shape & 0x80 != 0 {
+            self.damage(&mut octets);
+        }
+        octets
+    }
+
+    /// Changes an octet, cuts some off or adds some; or leaves them as they are.
+    pub(super) fn damage(&mut self, octets: &mut Vec<u8>) {
+        match self.octet() {
+            fewer @ 128..192 => octets.truncate(octets.len().saturating_sub((fewer - 127).into())),
+            more @ 192.. => octets.resize(octets.len() + usize::from(more - 191), 0x41),
+            changes => {
+                for _ in 0..changes % 4 {
+                    let at = usize::from(self.octet()) % octets.len().max(1);
+                    let to = self.octet();
+                    if let Some(octet) = octets.get_mut(at) {
+                        *octet = to;
+                    }
+                }
+            }
+        }
+    }
+}
