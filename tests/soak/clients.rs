@@ -18,6 +18,8 @@ const WAIT: Duration = PATIENCE;
 const WAIT_FOR_NODE: Duration = Duration::from_secs(3);
 /// Where answers stay away for a second at a time.
 const SHORT_WAIT: Duration = Duration::from_millis(200);
+/// Of those to whom something happens.
+pub(crate) const CLIENTS_OF_A_KIND: u64 = 8;
 /// Returning clients, each longer away than its flow lasts.
 const RETURNING: usize = 64;
 const RETURN_INTERVAL: Duration = Duration::from_millis(100);
@@ -60,9 +62,9 @@ impl Clients {
             };
             begin(32, SECTION, PASSWORD, 1, WAIT, &self.steady);
             begin(32, SECTION, PASSWORD, 2, WAIT, &self.steady);
-            begin(8, MIXER, PASSWORD, 33, WAIT_FOR_NODE, &self.restarted);
-            begin(8, SECTION, SECOND, 2, SHORT_WAIT, &self.withdrawn_password);
-            begin(8, SECTION, PASSWORD, 4, SHORT_WAIT, &self.withdrawn_mapping);
+            begin(CLIENTS_OF_A_KIND, MIXER, PASSWORD, 33, WAIT_FOR_NODE, &self.restarted);
+            begin(CLIENTS_OF_A_KIND, SECTION, SECOND, 2, SHORT_WAIT, &self.withdrawn_password);
+            begin(CLIENTS_OF_A_KIND, SECTION, PASSWORD, 4, SHORT_WAIT, &self.withdrawn_mapping);
             asking.spawn(keep_returning(Arc::clone(&self.returning), Arc::clone(over)));
             while let Some(client) = asking.join_next().await {
                 client.unwrap();

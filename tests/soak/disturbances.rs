@@ -5,11 +5,11 @@ use std::net::{Ipv4Addr, SocketAddr};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
-use std::time::{Duration, Instant};
+use std::time::{Duration, Instant, UNIX_EPOCH};
 
 use nix::sys::signal::Signal;
 
-use crate::clients::Clients;
+use crate::clients::{CLIENTS_OF_A_KIND, Clients};
 use crate::harness::{
     FIGURE_10, Network, PASSWORD, Peer, Process, Relay, WRONG, datagram, eventually, pause,
     pnet_nat,
@@ -21,6 +21,9 @@ pub(crate) const SECTION: u16 = 40_000;
 pub(crate) const PRESS: u16 = 40_200 - 3;
 pub(crate) const MIXER: u16 = 40_300 - 33;
 const ADMIN: (Ipv4Addr, u16) = (Ipv4Addr::LOCALHOST, 9378);
+
+const RELOAD_SUCCESSFUL: &str = "pnet_nat_config_last_reload_successful";
+const RELOAD_SUCCESS_TIME: &str = "pnet_nat_config_last_reload_success_timestamp_seconds";
 
 /// Strangers send so many at once, to each port; then they breathe.
 const BURST: usize = 8;
@@ -85,32 +88,52 @@ pub(crate) fn start_relay() -> Relay {
 /// Brings the two configurations into force by turns.
 pub(crate) struct Operator<'a> {
     relay: &'a Relay,
+    clients: &'a Clients,
     whole: bool,
+    /// Exchanges of those from whom something can be withdrawn, when the last reload was done.
+    exchanges: [u64; 2],
 }
 
 impl<'a> Operator<'a> {
-    pub(crate) fn new(relay: &'a Relay) -> Self {
-        Self { relay, whole: true }
+    pub(crate) fn new(relay: &'a Relay, clients: &'a Clients) -> Self {
+        Self { relay, clients, whole: true, exchanges: [0; 2] }
     }
 
-    /// Everyone whom the new configuration knows is served again soon.
-    pub(crate) fn reload(&mut self, clients: &Clients) {
+    /// What was withdrawn last time has stopped at once, and works again now; or the other way
+    /// round.
+    pub(crate) fn reload(&mut self) {
+        let exchanges = self.exchanges();
+        for (now, before) in exchanges.into_iter().zip(self.exchanges) {
+            // When it was withdrawn, each client may have had an answer in its socket.
+            let limit = if self.whole { u64::MAX } else { before + CLIENTS_OF_A_KIND };
+            assert!(now <= limit, "{} exchanges after it was withdrawn", now - before);
+        }
         self.whole = !self.whole;
-        let folder = self.relay.folder.path();
-        replace(&folder.join("pnet-nat.toml"), configuration(self.whole).as_bytes());
+        let file = self.relay.folder.path().join("pnet-nat.toml");
+        replace(&file, configuration(self.whole).as_bytes());
+        let asked = UNIX_EPOCH.elapsed().unwrap().as_secs();
         self.relay.process.signal(Signal::SIGHUP);
+        eventually("the configuration is in force", || {
+            let metrics = self.relay.metrics();
+            assert_eq!(metrics.sum(RELOAD_SUCCESSFUL, &[]), 1, "a reload failed");
+            (metrics.sum(RELOAD_SUCCESS_TIME, &[]) >= asked).then_some(())
+        });
+        self.exchanges = self.exchanges();
         if self.whole {
-            let again = [&clients.withdrawn_password, &clients.withdrawn_mapping];
-            let before = again.map(|tally| tally.answered());
             eventually("what was withdrawn works again", || {
-                let now = again.map(|tally| tally.answered());
-                (now[0] > before[0] && now[1] > before[1]).then_some(())
+                let again = self.exchanges().into_iter().zip(self.exchanges);
+                again.into_iter().all(|(now, before)| now > before).then_some(())
             });
         }
     }
+
+    fn exchanges(&self) -> [u64; 2] {
+        let Clients { withdrawn_password, withdrawn_mapping, .. } = self.clients;
+        [withdrawn_password.answered(), withdrawn_mapping.answered()]
+    }
 }
 
-/// In one step: whoever reads the file finds the old octets or the new ones.
+/// As editors do: whoever reads the file finds the old octets or the new ones, never half of them.
 fn replace(path: &Path, octets: &[u8]) {
     let beside = path.with_extension("new");
     fs::write(&beside, octets).unwrap();

@@ -23,7 +23,7 @@ use std::time::{Duration, Instant};
 
 use clients::Clients;
 use disturbances::{Operator, Plant, flood};
-use harness::{Network, Relay, pause};
+use harness::{Network, Over, Relay, pause};
 use usage::{Overflows, Usage};
 
 const SHORT: Duration = Duration::from_secs(25);
@@ -53,7 +53,7 @@ fn soak(network: &Network, time: Duration) {
     let (clients, overflows) = (Clients::default(), Overflows::now(network));
     let over = Arc::new(AtomicBool::new(false));
     let (usage, flooded) = thread::scope(|scope| {
-        let _at_the_end = SetOnDrop(&over);
+        let _at_the_end = Over(&over); // also when a thread panics
         scope.spawn(|| network.internet.enter(|| clients.ask(&over)));
         let stranger = scope.spawn(|| network.internet.enter(|| flood(&over)));
         let usage = go_on(time, &relay, &mut plant, &clients);
@@ -75,21 +75,12 @@ fn soak(network: &Network, time: Duration) {
     relay.finish();
 }
 
-/// Ends the other threads, also when this one panics.
-struct SetOnDrop<'a>(&'a AtomicBool);
-
-impl Drop for SetOnDrop<'_> {
-    fn drop(&mut self) {
-        self.0.store(true, Relaxed);
-    }
-}
-
 fn go_on(time: Duration, relay: &Relay, plant: &mut Plant<'_>, clients: &Clients) -> Usage {
     let (start, mut usage) = (Instant::now(), Usage::default());
-    let (mut operator, mut at_last_restart) = (Operator::new(relay), 0);
+    let (mut operator, mut at_last_restart) = (Operator::new(relay, clients), 0);
     for round in 1.. {
         pause(RELOAD_INTERVAL);
-        operator.reload(clients);
+        operator.reload();
         if round % RESTART_INTERVAL == 0 {
             let answered = clients.restarted.answered();
             assert!(answered > at_last_restart, "the restarted node does not answer again");
