@@ -221,7 +221,9 @@ function pnet.dissector(tvb, info, root)
     local format = tree:add(field.data_field_format, tvb(data - 1, 1))
     format:add(field.data_field_flags, tvb(data - 1, 1), flags)
     format:add(field.data_size, tvb(data - 1, 1), size)
-    tree:add(field.data, size > 0 and tvb(data, size) or tvb(data, 0))
+    if size > 0 then
+        tree:add(field.data, tvb(data, size))
+    end
     local password = data_end < count and tvb(data_end, PASSWORD)
     if password and pnet.prefs.show_password then
         tree:add(field.password_octets, password)

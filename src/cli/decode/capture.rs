@@ -159,7 +159,7 @@ fn time(seconds: u64, units: u64, per_second: u64) -> Option<SystemTime> {
     let nanoseconds = u128::from(units) * 1_000_000_000 / u128::from(per_second);
     let since = Duration::from_secs(seconds)
         .checked_add(Duration::from_nanos(nanoseconds.try_into().ok()?))?;
-    (since.as_secs() <= LAST_SECOND).then_some(SystemTime::UNIX_EPOCH + since)
+    (since.as_secs() <= LAST_SECOND).then(|| SystemTime::UNIX_EPOCH + since)
 }
 
 /// The input, cut into blocks.
@@ -225,3 +225,6 @@ impl<R: BufRead> Blocks<R> {
         format!("the capture has a damaged block at octet {begins}")
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -248,3 +248,83 @@ fn rfc3339<S: Serializer>(time: &Option<SystemTime>, serializer: S) -> Result<S:
         None => serializer.serialize_none(),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// PAS Figure 10 as a request to the Secure port.
+    const FIGURE_10: &[u8] =
+        b"\x02\0\0\0\x0B\x04\x05\x02\x21\x8B\x83\x9F\x2A\xC3\x12\x34\x56PNETPASS";
+
+    fn line(octets: &[u8], length: usize) -> Line {
+        let fields = Fields::of(octets, length, Header::default());
+        Line { place: Place::Text { line: 7 }, fields }
+    }
+
+    #[track_caller]
+    fn shows(octets: &[u8], text: &str) {
+        let line = line(octets, octets.len());
+        assert_eq!(line.to_string(), format!("line 7: {text}"));
+    }
+
+    #[test]
+    fn figure_10_as_text() {
+        shows(
+            FIGURE_10,
+            "confirmed; ip route to net 11 node 4, on to 2.33, from net 11 node 3, on to 31; \
+             control-status $2A, data-field-format $C3, data 123456, password present",
+        );
+    }
+
+    #[test]
+    fn other_formats_as_text() {
+        shows(
+            b"\x02\0\0\0\x04\x83\0\0",
+            "of no DLPDU type; simple route to 4 from 3; control-status $00, data-field-format \
+             $00, data none, password absent",
+        );
+        shows(
+            b"\x02\0\0\0\x83\x04\x01\x01\xFF",
+            "immediate reply; immediate route to 4 from 3; control-status $01, data-field-format \
+             $01, data ff, password absent",
+        );
+        shows(
+            b"\x02\0\0\0\x0B\x7E\x8B\x83\0\x03abc",
+            "unconfirmed; extended route to net 11 node 126 (every node), from net 11 node 3; \
+             control-status $00, data-field-format $03, data 616263, password absent",
+        );
+    }
+
+    #[test]
+    fn what_is_wrong_and_where_as_text() {
+        shows(b"\x02", "malformed at octet 1 of 1: a datagram has at least 8 octets");
+        shows(
+            b"\x02\0\0\0\x0B\x04\0\x8B\x83",
+            "malformed at octet 6 of 9: bad route: the remaining-route-length is 0, not 1 to 27",
+        );
+        shows(
+            &FIGURE_10[..16],
+            "malformed at octet 16 of 16: the octets behind the route do not fit the \
+             data-field-format; ip route to net 11 node 4, on to 2.33, from net 11 node 3, on to 31",
+        );
+        assert_eq!(
+            line(&FIGURE_10[..20], 25).to_string(),
+            "line 7: malformed at octet 20 of 25: only 20 of its 25 octets were captured"
+        );
+    }
+
+    #[test]
+    fn whatever_is_wrong_the_password_is_not_shown() {
+        let behind = [FIGURE_10, b"x"].concat();
+        let (mut header, mut route) = (FIGURE_10.to_vec(), FIGURE_10.to_vec());
+        (header[1], route[6]) = (1, 0);
+        for octets in [FIGURE_10, &behind, &header, &route, &FIGURE_10[..24], &FIGURE_10[17..]] {
+            let line = line(octets, octets.len());
+            let json = serde_json::to_string(&line).unwrap();
+            for shown in [line.to_string(), json, format!("{line:?}")] {
+                assert!(!shown.contains("PNET") && !shown.contains("504e"), "{shown}");
+            }
+        }
+    }
+}
