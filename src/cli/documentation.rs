@@ -1,6 +1,7 @@
 //! `pnet-nat completions` and `pnet-nat man`: what a shell and `man` know of the command line,
 //! written from the command line itself. Packages install it.
 
+use std::fs;
 use std::io::{Write, stdout};
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -42,10 +43,24 @@ pub(super) fn completions(args: &Completions) -> anyhow::Result<ExitCode> {
 
 /// Writes the manual pages: `pnet-nat.1`, `pnet-nat-run.1` and so on.
 pub(super) fn man(args: &Man) -> anyhow::Result<ExitCode> {
-    let written = std::fs::create_dir_all(&args.folder)
-        .and_then(|()| clap_mangen::generate_to(Cli::command(), &args.folder));
+    let command = Cli::command().mut_subcommands(|command| {
+        let text = command.get_after_help().map(|help| in_paragraphs(&help.to_string()));
+        command.after_help(text.unwrap_or_default())
+    });
+    let written = fs::create_dir_all(&args.folder)
+        .and_then(|()| clap_mangen::generate_to(command, &args.folder));
     written.with_context(|| args.folder.display().to_string())?;
     Ok(ExitCode::SUCCESS)
+}
+
+/// A manual page fills its lines: each example becomes a paragraph, in one line.
+fn in_paragraphs(help: &str) -> String {
+    let mut text = String::new();
+    for line in help.replace("\\\n", "").lines() {
+        text.extend(line.split_whitespace().flat_map(|word| [word, " "]));
+        text.push_str(if line.starts_with("Example:") { "\n\n" } else { "\n" });
+    }
+    text
 }
 
 #[cfg(test)]
