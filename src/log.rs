@@ -77,7 +77,7 @@ fn writer() -> Box<dyn io::Write> {
 }
 
 /// Whether the user wants no colours (no-color.org).
-fn no_color() -> bool {
+pub(crate) fn no_color() -> bool {
     std::env::var_os("NO_COLOR").is_some_and(|value| !value.is_empty())
 }
 

@@ -3,9 +3,12 @@
 //! Exit codes: 0 done, 1 failed at run time, 2 bad command line or configuration.
 
 mod check;
+mod decode;
 mod demo;
+mod documentation;
 mod healthcheck;
 mod node;
+mod output;
 mod request;
 mod run;
 mod signals;
@@ -25,7 +28,7 @@ use crate::wire::Password;
 /// The NAT router of P-NET on IP (IEC PAS 62412): lets remote clients reach the server nodes of a
 /// plant, checks every datagram and its password, and counts everything.
 #[derive(Parser)]
-#[command(version, propagate_version = true)]
+#[command(name = "pnet-nat", version = env!("PNET_NAT_VERSION"), propagate_version = true)]
 #[command(after_help = "Try it with nothing set up:  pnet-nat demo\n\
     Exit codes: 0 done, 1 failed at run time, 2 bad command line or configuration.")]
 struct Cli {
@@ -61,7 +64,10 @@ enum Command {
     Demo(demo::Args),
     Node(node::Args),
     Request(request::Args),
+    Decode(decode::Args),
     Healthcheck(healthcheck::Args),
+    Completions(documentation::Completions),
+    Man(documentation::Man),
 }
 
 /// Bad command line or configuration.
@@ -84,7 +90,10 @@ pub fn main() -> ExitCode {
         Command::Demo(args) => demo::run(args),
         Command::Node(args) => node::run(args),
         Command::Request(args) => request::run(args),
+        Command::Decode(args) => decode::run(args),
         Command::Healthcheck(args) => healthcheck::run(args),
+        Command::Completions(args) => documentation::completions(&args),
+        Command::Man(args) => documentation::man(&args),
     };
     done.unwrap_or_else(|error| {
         complain(format_args!("pnet-nat: {error:#}"));

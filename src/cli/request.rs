@@ -12,6 +12,7 @@ use std::time::Duration;
 use serde::Serialize;
 use tokio::time::MissedTickBehavior;
 
+use super::output::{Format, dotted, hex, print_json};
 use super::password_file;
 use crate::config::NodeRange;
 use crate::peer::{Answer, Client, ExchangeError, Request, Target};
@@ -84,12 +85,6 @@ pub(super) struct Args {
     /// What is printed: lines for people, or one JSON object a line.
     #[arg(long, value_enum, default_value_t = Format::Text, env = "PNET_NAT_FORMAT")]
     format: Format,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
-enum Format {
-    Text,
-    Json,
 }
 
 /// Sends the requests; fails when nothing came back.
@@ -247,19 +242,6 @@ impl Summary {
         }
         writeln!(out)
     }
-}
-
-fn print_json(line: &impl Serialize, out: &mut impl Write) -> io::Result<()> {
-    serde_json::to_writer(&mut *out, line)?;
-    writeln!(out)
-}
-
-fn hex(octets: &[u8]) -> String {
-    octets.iter().map(|octet| format!("{octet:02x}")).collect()
-}
-
-fn dotted(elements: &[u8]) -> String {
-    elements.iter().map(u8::to_string).collect::<Vec<_>>().join(".")
 }
 
 #[cfg(test)]

@@ -38,6 +38,31 @@ pub enum DatagramError {
     BadLength,
 }
 
+impl DatagramError {
+    /// Where in `octets`, which [`Datagram::parse`] refused with this error, the fault is: the
+    /// first octet that does not fit, or their number when they end too early.
+    pub fn position(self, octets: &[u8], header: Header) -> usize {
+        let end = octets.len();
+        match self {
+            Self::TooShort => end,
+            Self::TooLong => MAX_DATAGRAM,
+            Self::BadHeader => {
+                octets.iter().zip(header.0).position(|(&is, should)| is != should).unwrap_or(end)
+            }
+            Self::BadRoute(error) => Header::LEN + error.position(&octets[Header::LEN.min(end)..]),
+            Self::BadLength => data_end(octets).filter(|&data_end| data_end < end).unwrap_or(end),
+        }
+    }
+}
+
+/// Where the data octets of a datagram should end; `None` when it ends before their number.
+fn data_end(octets: &[u8]) -> Option<usize> {
+    let package = octets.get(Header::LEN..)?;
+    let data = Header::LEN + Route::parse(package).ok()?.as_bytes().len() + CONTROL;
+    let data_field_format = octets.get(data - 1)?;
+    Some(data + usize::from(data_field_format & data_field_format::SIZE))
+}
+
 /// Why a [`DatagramRepr`] was not emitted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum EmitError {
@@ -326,6 +351,29 @@ mod tests {
         let cut_in_the_route = &FIGURE_10[..11];
         let error = parse(cut_in_the_route).unwrap_err();
         assert_eq!(error, DatagramError::BadRoute(RouteError::Truncated));
+    }
+
+    #[test]
+    fn a_fault_has_its_place() {
+        let behind = [&FIGURE_10[..], &[0]].concat();
+        let mut header = FIGURE_10;
+        header[2] = 1;
+        let mut remaining = FIGURE_10;
+        remaining[6] = 0;
+        for (octets, position) in [
+            (&FIGURE_10[..7], 7),
+            (&[0; 108], 107),
+            (&header, 2),
+            (&remaining, 6),
+            (&FIGURE_10[..11], 11),
+            (&FIGURE_10[..13], 13),
+            (&FIGURE_10[..16], 16),
+            (&FIGURE_10[..24], 17),
+            (&behind, 17),
+        ] {
+            let error = parse(octets).unwrap_err();
+            assert_eq!(error.position(octets, Header::default()), position, "{error}");
+        }
     }
 
     #[test]

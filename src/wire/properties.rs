@@ -119,6 +119,9 @@ proptest! {
         if let Ok(route) = Route::parse(&octets) {
             ask_route(route);
         }
+        if let Err(error) = Datagram::parse(&octets, Header::default()) {
+            prop_assert!(error.position(&octets, Header::default()) <= octets.len());
+        }
         if let Ok(datagram) = Datagram::parse(&octets, Header::default()) {
             let _ = (format!("{datagram:?}"), datagram.dlpdu_type(), Indication::parse(&datagram));
             ask_route(datagram.route());

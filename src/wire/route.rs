@@ -59,6 +59,23 @@ pub enum RouteError {
     NoSource,
 }
 
+impl RouteError {
+    /// Where in `octets`, which [`Route::parse`] refused with this error, the fault is: the first
+    /// octet that does not fit, or their number when they end too early.
+    pub fn position(self, octets: &[u8]) -> usize {
+        let end = octets.len();
+        let remaining = field::REMAINING.start - 1;
+        match self {
+            Self::Truncated => end,
+            Self::RemainingLength(_) => remaining,
+            Self::DestinationAfterSource => (field::REMAINING.start..end)
+                .find(|&at| is_source(octets[at - 1]) && !is_source(octets[at]))
+                .unwrap_or(end),
+            Self::NoSource => remaining + octets.get(remaining).copied().map_or(0, usize::from),
+        }
+    }
+}
+
 /// A route: a view of checked octets, 2 to 30 of them (PAS 5.5.2.1).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Route<'a> {
@@ -101,6 +118,14 @@ impl<'a> Route<'a> {
     #[inline]
     pub fn as_bytes(&self) -> &'a [u8] {
         self.octets
+    }
+
+    /// The number of octets behind the remaining-route-length, in the formats that have one.
+    pub fn remaining_route_length(&self) -> Option<u8> {
+        match self.format {
+            RouteFormat::Complex | RouteFormat::Ip => self.octets.get(2).copied(),
+            RouteFormat::Simple | RouteFormat::Extended | RouteFormat::Immediate => None,
+        }
     }
 
     /// The destination elements, 7 bits each, in order. The remaining-route-length is not one.
@@ -314,6 +339,22 @@ mod tests {
     fn r21_a_route_without_a_source_is_refused() {
         assert_eq!(parse(&[0x0B, 0x04, 0x01, 0x02, 0x83]), Err(RouteError::NoSource));
         assert_eq!(parse(&[0x0B, 0x04, 0x03, 0x02, 0x03, 0x04, 0x83]), Err(RouteError::NoSource));
+    }
+
+    #[test]
+    fn a_fault_has_its_place() {
+        for (octets, position) in [
+            (&[0x0B, 0x04, 0x8B, 0x03][..], 3),
+            (&[0x0B, 0x04, 0x04, 0x02, 0x8B, 0x03, 0x83], 5),
+            (&[0x0B, 0x04, 0x03, 0x8B, 0x83, 0x03], 5),
+            (&[0x0B, 0x04, 0x00, 0x8B], 2),
+            (&[0x0B, 0x04, 0x03, 0x02, 0x03, 0x04, 0x83], 5),
+            (&[0x0B, 0x04, 0x05, 0x02], 4),
+            (&[], 0),
+        ] {
+            let error = parse(octets).unwrap_err();
+            assert_eq!(error.position(octets), position, "{octets:02X?}");
+        }
     }
 
     #[test]

@@ -4,7 +4,6 @@
 //! Invariant: no line of the live table wraps, or redrawing would leave pieces behind. On 80
 //! columns nothing of it is cut off.
 
-use std::env;
 use std::fmt::Write as _;
 use std::io::{self, IsTerminal, Write, stdout};
 use std::net::SocketAddr;
@@ -12,6 +11,7 @@ use std::time::Duration;
 
 use super::figures::{Figures, NodeFigures};
 use super::traffic::Intrusions;
+use crate::log::no_color;
 
 /// Standard output, and how it is written to.
 pub(super) struct Display {
@@ -25,7 +25,7 @@ impl Display {
     /// Says what is running and where to look.
     pub(super) fn open(admin: SocketAddr) -> io::Result<Self> {
         let live = stdout().is_terminal();
-        let paint = Paint { colour: live && env::var_os("NO_COLOR").is_none_or(|v| v.is_empty()) };
+        let paint = Paint { colour: live && !no_color() };
         let title = paint.bold("pnet-nat demo");
         writeln!(
             stdout(),

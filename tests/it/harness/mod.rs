@@ -8,6 +8,7 @@ mod capture;
 mod metrics;
 mod network;
 mod octets;
+mod pcap;
 mod process;
 mod relay;
 mod site;
@@ -21,6 +22,7 @@ pub(crate) use network::{Namespace, Network};
 pub(crate) use octets::{
     DEVICE, FIGURE_10, PASSWORD, PASSWORDS, SECOND, WRONG, datagram, request, response,
 };
+pub(crate) use pcap::{frame, header, pcap, udp};
 pub(crate) use process::{Process, pnet_nat, pnet_nat_within};
 pub(crate) use relay::{ANNOTATED, Place, Relay, Settings, folder};
 pub(crate) use site::{Peer, Site, close, exchange};

@@ -1,0 +1,45 @@
+//! Tells the program which commit it is built from: `--version` shows it.
+//!
+//! `PNET_NAT_COMMIT` says it, for builds without the repository; else git is asked. Where neither
+//! knows, the version stands alone.
+
+use std::env;
+use std::path::Path;
+use std::process::Command;
+
+fn main() {
+    println!("cargo::rerun-if-env-changed=PNET_NAT_COMMIT");
+    println!("cargo::rerun-if-changed=build.rs");
+    let said = env::var("PNET_NAT_COMMIT").ok().filter(|commit| !commit.is_empty());
+    let version = env!("CARGO_PKG_VERSION");
+    match said.or_else(commit) {
+        Some(commit) => println!("cargo::rustc-env=PNET_NAT_VERSION={version} ({commit})"),
+        None => println!("cargo::rustc-env=PNET_NAT_VERSION={version}"),
+    }
+}
+
+/// The commit that is checked out, if this is a repository of its own: a copy of the sources may
+/// lie in somebody else's.
+fn commit() -> Option<String> {
+    let top = git(&["rev-parse", "--show-toplevel"])?;
+    let here = env::var("CARGO_MANIFEST_DIR").ok()?;
+    if Path::new(&top).canonicalize().ok()? != Path::new(&here).canonicalize().ok()? {
+        return None;
+    }
+    // Another commit is another HEAD, or another value of the branch that it names.
+    let branch = git(&["symbolic-ref", "--quiet", "HEAD"]);
+    for name in ["HEAD", "packed-refs"].into_iter().chain(branch.as_deref()) {
+        if let Some(path) = git(&["rev-parse", "--git-path", name])
+            && Path::new(&path).exists()
+        {
+            println!("cargo::rerun-if-changed={path}");
+        }
+    }
+    git(&["rev-parse", "--short=12", "HEAD"])
+}
+
+fn git(arguments: &[&str]) -> Option<String> {
+    let output = Command::new("git").args(arguments).output().ok()?;
+    let text = String::from_utf8(output.stdout).ok()?;
+    (output.status.success() && !text.trim().is_empty()).then(|| text.trim().to_owned())
+}

@@ -1,0 +1,159 @@
+//! `pnet-nat decode`: shows the datagrams of hex text or of a capture.
+//!
+//! `capture` reads pcap and pcapng, `packet` finds the UDP payload in a packet, `hex` reads text,
+//! `line` is what is printed. Invariants: no password is ever printed, and whatever the input, it
+//! is read as a stream with a bounded buffer.
+
+mod capture;
+mod hex;
+mod line;
+mod packet;
+
+use std::fs::File;
+use std::io::{self, BufRead, BufReader, ErrorKind, Read, Write, stdin, stdout};
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::str::FromStr;
+
+use anyhow::{Context, ensure};
+
+use super::complain;
+use super::output::{Format, print_json};
+use crate::wire::Header;
+use line::{Fields, Line, Place};
+
+/// Show the datagrams of hex text or of a capture (pcap, pcapng), without their passwords.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Example:  pnet-nat decode capture.pcapng --ports 40001-40125\n\
+    Example:  tcpdump -i eth0 -U -w - udp | pnet-nat decode --format json -\n\
+    Hex text has a datagram a line: 02000000 04830000. Blanks and colons between octets are left\n\
+    out, and so is what follows #. Exit 1 when the input cannot be read to its end.")]
+pub(super) struct Args {
+    /// Hex text, pcap or pcapng; - is the standard input.
+    #[arg(value_name = "FILE", default_value = "-")]
+    file: PathBuf,
+
+    /// UDP ports in a capture, beside 34378 and 34379, separated by commas: those of UDP Range
+    /// nets.
+    #[arg(long, value_name = "PORT[-LAST]", value_delimiter = ',', env = "PNET_NAT_PORTS")]
+    ports: Vec<PortRange>,
+
+    /// What every datagram begins with.
+    #[arg(long, value_name = "OCTETS", default_value_t, env = "PNET_NAT_HEADER")]
+    header: Header,
+
+    /// What is printed: lines for people, or one JSON object a line.
+    #[arg(long, value_enum, default_value_t = Format::Text, env = "PNET_NAT_FORMAT")]
+    format: Format,
+}
+
+/// `40001-40125`, or `40200`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct PortRange {
+    first: u16,
+    last: u16,
+}
+
+impl PortRange {
+    /// The Normal and the Secure port (PAS 11).
+    const P_NET: Self = Self { first: 34378, last: 34379 };
+
+    fn contains(self, port: u16) -> bool {
+        (self.first..=self.last).contains(&port)
+    }
+}
+
+impl FromStr for PortRange {
+    type Err = anyhow::Error;
+
+    fn from_str(text: &str) -> anyhow::Result<Self> {
+        let (first, last) = text.split_once('-').unwrap_or((text, text));
+        let port = |text: &str| text.parse::<u16>().context("a port is 1 to 65535");
+        let (first, last) = (port(first)?, port(last)?);
+        ensure!(0 < first && first <= last, "ports are like 40001-40125, the lower one first");
+        Ok(Self { first, last })
+    }
+}
+
+/// Shows everything up to the end of the input.
+pub(super) fn run(args: Args) -> anyhow::Result<ExitCode> {
+    let (input, name): (Box<dyn Read>, _) = if args.file.as_os_str() == "-" {
+        (Box::new(stdin()), "standard input".to_owned())
+    } else {
+        let name = args.file.display().to_string();
+        (Box::new(File::open(&args.file).with_context(|| name.clone())?), name)
+    };
+    match decode(BufReader::new(input), &args, &mut stdout()) {
+        // Whoever reads the output has seen enough of it.
+        Err(error) if is_broken_pipe(&error) => {}
+        done => done.context(name)?,
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+fn is_broken_pipe(error: &anyhow::Error) -> bool {
+    error.downcast_ref().is_some_and(|error: &io::Error| error.kind() == ErrorKind::BrokenPipe)
+}
+
+fn decode(mut input: impl BufRead, args: &Args, out: &mut impl Write) -> anyhow::Result<()> {
+    let mut print = |place: Place, fields: Fields| -> io::Result<()> {
+        let line = Line { place, fields };
+        match args.format {
+            Format::Text => writeln!(out, "{line}"),
+            Format::Json => print_json(&line, out),
+        }
+    };
+    let mut beginning = Vec::new();
+    input.by_ref().take(4).read_to_end(&mut beginning)?;
+    let is_capture = capture::is_magic(&beginning);
+    let input = io::Cursor::new(beginning).chain(input);
+    if !is_capture {
+        return hex::read(input, |line, octets| {
+            Ok(print(Place::Text { line }, Fields::of(octets, octets.len(), args.header))?)
+        });
+    }
+
+    let (mut shown, mut unknown_link) = (0_u64, None);
+    capture::read(input, |captured| {
+        let Ok(found) = packet::datagram(captured.link, captured.octets) else {
+            unknown_link = Some(captured.link.0);
+            return Ok(());
+        };
+        let ports = || args.ports.iter().copied().chain([PortRange::P_NET]);
+        let is_wanted = |port| ports().any(|range| range.contains(port));
+        if let Some(udp) =
+            found.filter(|udp| is_wanted(udp.to.port()) || is_wanted(udp.from.port()))
+        {
+            shown += 1;
+            let (packet, time) = (captured.number, captured.time);
+            let place = Place::Capture { packet, time, from: udp.from, to: udp.to };
+            print(place, Fields::of(udp.octets, udp.length, args.header))?;
+        }
+        Ok(())
+    })?;
+    if let Some(link) = unknown_link {
+        complain(format_args!(
+            "packets of link type {link} were left out; Ethernet, raw IP, Linux cooked and \
+             loopback are read"
+        ));
+    }
+    if shown == 0 {
+        complain("no datagram on the ports looked at; --ports adds those of UDP Range nets");
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ports_are_read_as_ranges() {
+        let range = |text: &str| text.parse::<PortRange>();
+        assert_eq!(range("40001-40125").unwrap(), PortRange { first: 40001, last: 40125 });
+        assert_eq!(range("40200").unwrap(), PortRange { first: 40200, last: 40200 });
+        for bad in ["", "0", "40125-40001", "40001-", "65536", "40001-40002-3"] {
+            assert!(range(bad).is_err(), "{bad:?}");
+        }
+    }
+}

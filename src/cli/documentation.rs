@@ -1,0 +1,95 @@
+//! `pnet-nat completions` and `pnet-nat man`: what a shell and `man` know of the command line,
+//! written from the command line itself. Packages install it.
+
+use std::fs;
+use std::io::{Write, stdout};
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use anyhow::Context;
+use clap::CommandFactory;
+use clap_complete::Shell;
+
+use super::Cli;
+
+/// Print what a shell needs to complete commands and options.
+#[derive(Debug, clap::Args)]
+#[command(
+    after_help = "Example:  pnet-nat completions bash > ~/.local/share/bash-completion/completions/pnet-nat\n\
+    Packages put it into /usr/share: bash-completion/completions/pnet-nat,\n\
+    zsh/vendor-completions/_pnet-nat, fish/vendor_completions.d/pnet-nat.fish."
+)]
+pub(super) struct Completions {
+    #[arg(value_enum)]
+    shell: Shell,
+}
+
+/// Write a manual page for each command into a folder.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Example:  pnet-nat man ~/.local/share/man/man1\n\
+    Packages put the pages into /usr/share/man/man1.")]
+pub(super) struct Man {
+    /// The folder; made if it is not there.
+    folder: PathBuf,
+}
+
+/// Prints the completions of a shell.
+pub(super) fn completions(args: &Completions) -> anyhow::Result<ExitCode> {
+    let mut script = Vec::new();
+    clap_complete::generate(args.shell, &mut Cli::command(), "pnet-nat", &mut script);
+    stdout().write_all(&script)?;
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Writes the manual pages: `pnet-nat.1`, `pnet-nat-run.1` and so on.
+pub(super) fn man(args: &Man) -> anyhow::Result<ExitCode> {
+    let command = Cli::command().mut_subcommands(|command| {
+        let text = command.get_after_help().map(|help| in_paragraphs(&help.to_string()));
+        command.after_help(text.unwrap_or_default())
+    });
+    let written = fs::create_dir_all(&args.folder)
+        .and_then(|()| clap_mangen::generate_to(command, &args.folder));
+    written.with_context(|| args.folder.display().to_string())?;
+    Ok(ExitCode::SUCCESS)
+}
+
+/// A manual page fills its lines: each example becomes a paragraph, in one line.
+fn in_paragraphs(help: &str) -> String {
+    let mut text = String::new();
+    for line in help.replace("\\\n", "").lines() {
+        text.extend(line.split_whitespace().flat_map(|word| [word, " "]));
+        text.push_str(if line.starts_with("Example:") { "\n\n" } else { "\n" });
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::Parser;
+    use clap::error::ErrorKind;
+
+    use super::*;
+
+    #[test]
+    fn every_command_has_an_example_that_is_a_command_line() {
+        Cli::command().debug_assert();
+        for command in Cli::command().get_subcommands() {
+            let help = command.get_after_help().map(ToString::to_string).unwrap_or_default();
+            let help = help.replace("\\\n", " ");
+            let examples: Vec<_> = help.lines().filter(|line| line.contains("Example:")).collect();
+            assert!(!examples.is_empty(), "{} has no example", command.get_name());
+            for example in examples {
+                let words = &example[example.find("pnet-nat ").expect(example)..];
+                let words = words.split(['|', '>']).next().unwrap().split_whitespace();
+                match Cli::try_parse_from(words) {
+                    Ok(_) => {}
+                    // Its files are not here.
+                    Err(error) if error.to_string().contains("--password-file") => {
+                        assert_eq!(error.kind(), ErrorKind::ValueValidation, "{error}");
+                    }
+                    Err(error) => panic!("{example}: {error}"),
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,26 @@
+//! What commands print to stdout: lines for people, or one JSON object a line.
+
+use std::io::{self, Write};
+
+use serde::Serialize;
+
+/// The two ways to print.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub(super) enum Format {
+    Text,
+    Json,
+}
+
+pub(super) fn print_json(line: &impl Serialize, out: &mut impl Write) -> io::Result<()> {
+    serde_json::to_writer(&mut *out, line)?;
+    writeln!(out)
+}
+
+pub(super) fn hex(octets: &[u8]) -> String {
+    octets.iter().map(|octet| format!("{octet:02x}")).collect()
+}
+
+/// Route elements, as they are written in a row.
+pub(super) fn dotted(elements: &[u8]) -> String {
+    elements.iter().map(u8::to_string).collect::<Vec<_>>().join(".")
+}

@@ -1,0 +1,159 @@
+//! What a package and a terminal see of the command line: version, completions, manual, colours.
+
+use std::fs;
+use std::io::Read;
+use std::path::Path;
+use std::process::{Command, Stdio};
+
+use nix::pty::openpty;
+
+use crate::harness::{Process, left_out, pnet_nat};
+
+fn stdout(arguments: &[&str]) -> String {
+    let mut process = Process::start(pnet_nat(arguments));
+    assert_eq!(process.end(), Some(0), "{}", process.stderr());
+    process.stdout()
+}
+
+/// The commands of the program, as its help lists them.
+fn commands() -> Vec<String> {
+    let help = stdout(&["--help"]);
+    let (_, list) = help.split_once("Commands:\n").unwrap();
+    let list = list.split("\n\n").next().unwrap().lines();
+    let names = list.filter_map(|line| line.strip_prefix("  ").filter(|it| !it.starts_with(' ')));
+    names.map(|line| line.split(' ').next().unwrap().to_owned()).collect()
+}
+
+/// What `build.rs` tells of a folder of sources.
+fn told_of(folder: &Path, build: &Path, commit: Option<&str>) -> String {
+    let mut command = Command::new(build);
+    command.current_dir(folder).env("CARGO_MANIFEST_DIR", folder).env_remove("PNET_NAT_COMMIT");
+    command.envs(commit.map(|commit| ("PNET_NAT_COMMIT", commit)));
+    let output = command.output().unwrap();
+    assert!(output.status.success(), "{output:?}");
+    let output = String::from_utf8(output.stdout).unwrap();
+    let version =
+        output.lines().find_map(|line| line.strip_prefix("cargo::rustc-env=PNET_NAT_VERSION="));
+    version.unwrap().to_owned()
+}
+
+#[test]
+fn the_version_tells_the_commit_where_it_is_known() {
+    let folder = tempfile::tempdir().unwrap();
+    let build = folder.path().join("build");
+    let script = concat!(env!("CARGO_MANIFEST_DIR"), "/build.rs");
+    let mut rustc = Command::new("rustc");
+    rustc.args(["--edition", "2024", "-o"]).arg(&build).arg(script);
+    assert!(rustc.env("CARGO_PKG_VERSION", "1.2.3").status().unwrap().success());
+    let sources = folder.path().join("sources");
+    fs::create_dir_all(sources.join("inner")).unwrap();
+
+    assert_eq!(told_of(&sources, &build, None), "1.2.3", "a tarball");
+    assert_eq!(told_of(&sources, &build, Some("")), "1.2.3");
+    assert_eq!(told_of(&sources, &build, Some("0123abc")), "1.2.3 (0123abc)");
+
+    if Command::new("git").arg("--version").output().is_err() {
+        return left_out("git");
+    }
+    let git = |arguments: &[&str]| {
+        let identity = ["-c", "user.name=pnet-nat", "-c", "user.email=pnet-nat@example.org"];
+        let mut git = Command::new("git");
+        let output = git.current_dir(&sources).args(identity).args(arguments).output().unwrap();
+        assert!(output.status.success(), "{output:?}");
+        String::from_utf8(output.stdout).unwrap().trim().to_owned()
+    };
+    git(&["init", "--quiet"]);
+    assert_eq!(told_of(&sources, &build, None), "1.2.3", "no commit yet");
+    git(&["commit", "--quiet", "--allow-empty", "--message", "First"]);
+    let commit = git(&["rev-parse", "--short=12", "HEAD"]);
+    assert_eq!(told_of(&sources, &build, None), format!("1.2.3 ({commit})"));
+    assert_eq!(told_of(&sources.join("inner"), &build, None), "1.2.3", "someone else's commit");
+    assert_eq!(told_of(&sources, &build, Some("0123abc")), "1.2.3 (0123abc)");
+
+    let version = stdout(&["--version"]);
+    assert!(version.starts_with(concat!("pnet-nat ", env!("CARGO_PKG_VERSION"))), "{version}");
+}
+
+#[test]
+fn bash_completes_commands_and_options() {
+    let folder = tempfile::tempdir().unwrap();
+    let script = folder.path().join("pnet-nat");
+    fs::write(&script, stdout(&["completions", "bash"])).unwrap();
+    let complete = |words: &[&str]| {
+        let question = r#"source "$0" && COMP_WORDS=("$@") && COMP_CWORD=$(($# - 1)) &&
+            $(complete -p pnet-nat | sed 's/.*-F \([^ ]*\).*/\1/') pnet-nat "${@: -1}" "${@: -2:1}"
+            echo "${COMPREPLY[@]}""#;
+        let mut bash = Command::new("bash");
+        let output = bash.args(["-c", question]).arg(&script).args(words).output().unwrap();
+        String::from_utf8(output.stdout).unwrap().trim().to_owned()
+    };
+    assert_eq!(complete(&["pnet-nat", "dec"]), "decode");
+    assert_eq!(complete(&["pnet-nat", "decode", "--po"]), "--ports");
+    assert_eq!(complete(&["pnet-nat", "decode", "--format", ""]), "text json");
+}
+
+#[test]
+fn every_shell_is_told_every_command() {
+    for shell in ["bash", "elvish", "fish", "powershell", "zsh"] {
+        let script = stdout(&["completions", shell]);
+        for command in commands() {
+            assert!(script.contains(&command), "{shell}: {command}");
+        }
+    }
+}
+
+#[test]
+fn every_command_has_a_manual_page_without_faults() {
+    let folder = tempfile::tempdir().unwrap();
+    let pages = folder.path().join("man/man1");
+    assert_eq!(stdout(&["man", pages.to_str().unwrap()]), "");
+    let names = commands().into_iter().filter(|name| name != "help");
+    let names: Vec<_> = names.map(|name| format!("pnet-nat-{name}.1")).collect();
+    assert!(names.len() >= 9 && pages.join("pnet-nat.1").exists(), "{names:?}");
+    for name in &names {
+        let page = fs::read_to_string(pages.join(name)).unwrap();
+        assert!(page.contains("Example:") && page.contains(".SH OPTIONS"), "{page}");
+    }
+    let mut groff = Command::new("groff");
+    groff.args(["-man", "-Tascii", "-P-c", "-ww"]).args(names.iter().map(|name| pages.join(name)));
+    let Ok(output) = groff.output() else { return left_out("groff") };
+    assert!(output.status.success() && output.stderr.is_empty(), "{output:?}");
+    let text = String::from_utf8(output.stdout).unwrap();
+    let alone = |example: &str| text.lines().any(|line| line.trim() == example);
+    assert!(alone("Example: pnet-nat demo --seconds 10"), "{text}");
+}
+
+/// What a command writes to a terminal.
+fn on_a_terminal(arguments: &[&str], no_color: &str) -> String {
+    let terminal = openpty(None, None).unwrap();
+    let slave = || Stdio::from(terminal.slave.try_clone().unwrap());
+    let mut command = pnet_nat(arguments);
+    command.env("TERM", "xterm").env("NO_COLOR", no_color).env_remove("CLICOLOR");
+    command.env_remove("CLICOLOR_FORCE").stdin(Stdio::null()).stdout(slave()).stderr(slave());
+    let mut child = command.spawn().unwrap();
+    drop(command);
+    drop(terminal.slave);
+    let mut written = Vec::new();
+    // It ends with an error as soon as nobody can write to it any more.
+    let _ = std::fs::File::from(terminal.master).read_to_end(&mut written);
+    assert!(child.wait().unwrap().success());
+    String::from_utf8(written).unwrap()
+}
+
+/// Whether a text has colours, bold and the like: `ESC [ numbers m`.
+fn has_colours(text: &str) -> bool {
+    text.split("\x1b[").skip(1).any(|sequence| {
+        sequence.trim_start_matches(|c: char| c.is_ascii_digit() || c == ';').starts_with('m')
+    })
+}
+
+#[test]
+fn no_color_is_heeded_by_help_log_and_tables() {
+    let demo = ["demo", "--seconds", "1", "--log-level", "info"];
+    for arguments in [&["--help"][..], &demo] {
+        let (usual, plain) = (on_a_terminal(arguments, ""), on_a_terminal(arguments, "1"));
+        assert!(has_colours(&usual), "{arguments:?}: {usual:?}");
+        assert!(!has_colours(&plain), "{arguments:?}: {plain:?}");
+        assert!(plain.contains("pnet-nat"), "{plain:?}");
+    }
+}

@@ -1,0 +1,33 @@
+//! Captures written by hand: pcap, with a raw IPv4 packet for each UDP datagram.
+
+/// Link type of packets that begin with their IP header.
+const RAW: u32 = 101;
+
+/// What a pcap file begins with.
+pub(crate) fn header() -> Vec<u8> {
+    let magic_and_version = [0xD4, 0xC3, 0xB2, 0xA1, 2, 0, 4, 0];
+    let rest = [0, 0, 65535, RAW].map(u32::to_le_bytes);
+    [&magic_and_version, rest.as_flattened()].concat()
+}
+
+/// A packet in a pcap file, of which the first `captured` octets were taken.
+pub(crate) fn frame(packet: &[u8], captured: usize) -> Vec<u8> {
+    let front = [1_790_000_000, 7, captured as u32, packet.len() as u32].map(u32::to_le_bytes);
+    [front.as_flattened(), &packet[..captured]].concat()
+}
+
+/// A UDP datagram in an IPv4 packet, from 198.51.100.20:50000 to this port of 203.0.113.5.
+pub(crate) fn udp(port: u16, payload: &[u8]) -> Vec<u8> {
+    let length = 8 + payload.len() as u16;
+    let ip = [0x45, 0, 0, 0, 0, 0, 0, 0, 64, 17, 0, 0, 198, 51, 100, 20, 203, 0, 113, 5];
+    let udp = [50000, port, length, 0].map(u16::to_be_bytes);
+    let mut packet = [&ip, udp.as_flattened(), payload].concat();
+    packet[2..4].copy_from_slice(&(20 + length).to_be_bytes());
+    packet
+}
+
+/// A capture of these payloads, each to its port.
+pub(crate) fn pcap<'a>(payloads: impl IntoIterator<Item = (u16, &'a [u8])>) -> Vec<u8> {
+    let packets = payloads.into_iter().map(|(port, payload)| udp(port, payload));
+    packets.fold(header(), |file, packet| [file, frame(&packet, packet.len())].concat())
+}
