@@ -17,6 +17,7 @@ mod floods;
 mod harness;
 mod namespaces;
 mod nat;
+mod prometheus;
 mod relaying;
 mod reloading;
 mod scale;
