@@ -13,6 +13,9 @@ use crate::harness::{PATIENCE, Process, Site, eventually, left_out};
 const CONFIGURATION: &str = include_str!("../../../deploy/prometheus/prometheus.yml");
 const RULES: &str = include_str!("../../../deploy/prometheus/pnet-nat.rules.yml");
 
+/// Not the usual 9090: there the package's own server may listen, on all addresses.
+const PORT: u16 = 19090;
+
 /// Whether Prometheus is there; says so where it is not.
 pub(super) fn has_prometheus() -> bool {
     let is_there = |tool: &&str| Command::new(tool).arg("--version").output().is_ok();
@@ -57,7 +60,7 @@ impl Prometheus {
         ] {
             fs::write(folder.path().join(file), text).unwrap();
         }
-        let address = SocketAddr::from((site.public_address(), 9090));
+        let address = SocketAddr::from((site.public_address(), PORT));
         let mut command = Command::new("prometheus");
         command
             .current_dir(folder.path())
