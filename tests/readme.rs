@@ -43,6 +43,16 @@ fn every_metric_is_described_and_no_other() {
 }
 
 #[test]
+fn the_alerts_are_those_of_the_rules() {
+    let rules = include_str!("../deploy/prometheus/pnet-nat.rules.yml");
+    let alerts: Vec<_> =
+        rules.split("- alert: ").skip(1).filter_map(|a| a.lines().next()).collect();
+    let rows = README.lines().filter_map(|line| line.strip_prefix("| `Pnet"));
+    let described: Vec<_> = rows.filter_map(|row| row.split('`').next()).collect();
+    assert_eq!(described, alerts.iter().map(|alert| &alert["Pnet".len()..]).collect::<Vec<_>>());
+}
+
+#[test]
 fn the_configuration_is_sound() {
     let (config, warnings) = read(configuration());
     assert_eq!(config.table.mappings().len(), 4);

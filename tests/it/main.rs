@@ -20,6 +20,7 @@ mod harness;
 mod killed;
 mod namespaces;
 mod nat;
+mod prometheus;
 mod relaying;
 mod reloading;
 mod scale;
