@@ -12,6 +12,7 @@ mod commands;
 mod confinement;
 mod drops;
 mod fail2ban;
+mod failover;
 mod faults;
 mod floods;
 mod harness;
