@@ -14,8 +14,7 @@ use nix::sys::signal::Signal;
 use tempfile::TempDir;
 
 use crate::harness::{
-    ANNOTATED, Namespace, Peer, Process, Relay, eventually, left_out, pause, pnet_nat,
-    request,
+    ANNOTATED, Namespace, Peer, Process, Relay, eventually, left_out, pause, pnet_nat, request,
 };
 
 const KEEPALIVED: &str = include_str!("../../deploy/keepalived/keepalived.conf");
@@ -94,8 +93,7 @@ struct Edge<'a> {
 impl<'a> Edge<'a> {
     fn start(namespace: &'a Namespace, priority: u8, programs: &'a Path) -> Self {
         let files = tempfile::tempdir().unwrap();
-        let mut edge =
-            Self { namespace, relay: None, keepalived: None, priority, programs, files };
+        let mut edge = Self { namespace, relay: None, keepalived: None, priority, programs, files };
         edge.start_relay();
         edge.start_keepalived();
         edge

@@ -18,6 +18,7 @@ mod floods;
 mod harness;
 mod namespaces;
 mod nat;
+mod package;
 mod relaying;
 mod reloading;
 mod scale;
