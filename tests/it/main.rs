@@ -16,6 +16,7 @@ mod failover;
 mod faults;
 mod floods;
 mod harness;
+mod kubernetes;
 mod namespaces;
 mod nat;
 mod package;

@@ -7,7 +7,7 @@ use std::process::Command;
 
 use serde_json::Value;
 
-use crate::harness::{Machine, PASSWORD, Process, eventually, left_out};
+use crate::harness::{Machine, Metrics, PASSWORD, Process, eventually, left_out};
 
 const UNIT: &str = "deploy/systemd/pnet-nat.service";
 
@@ -17,7 +17,7 @@ const MOST_EXPOSED: f64 = 2.0;
 /// Packs the binary of the tests: nothing is compiled.
 fn package(folder: &tempfile::TempDir) -> Option<PathBuf> {
     let file = folder.path().join("pnet-nat.deb");
-    if Command::new("cargo").args(["deb", "--version"]).output().is_ok_and(|o| o.status.success()) {
+    if Command::new(env!("CARGO")).args(["deb", "--version"]).output().unwrap().status.success() {
         let mut command = Command::new(env!("CARGO"));
         command.args(["deb", "--no-build", "--profile", "dev", "--fast", "--locked", "--offline"]);
         let output = command.arg("--output").arg(&file).output().unwrap();
@@ -69,6 +69,10 @@ impl Service {
              --password-file /etc/pnet-nat/secrets/section-1"
         );
         self.0.output(&["sh", "-c", &line]).status.success()
+    }
+
+    fn metrics(&self) -> Metrics {
+        Metrics::parse(&self.0.run(&["curl", "--silent", "http://127.0.0.1:9378/metrics"]))
     }
 
     /// Changes the configuration.
@@ -165,8 +169,7 @@ fn confined(service: &Service) {
     for layer in ["memory", "no_new_privs", "capabilities", "seccomp"] {
         assert_eq!(line[layer], "on", "{line}");
     }
-    let metrics = machine.run(&["curl", "--silent", "http://127.0.0.1:9378/metrics"]);
-    assert!(metrics.contains("process_open_fds"), "{metrics}");
+    assert!(service.metrics().sum("process_open_fds", &[]) > 5, "it can count what is its own");
 }
 
 /// A sound configuration comes into force; of one that is not, the relay does not even hear.
@@ -187,6 +190,9 @@ fn reloaded(service: &Service) {
     assert_eq!(service.logged("reload failed").len(), 0, "nothing was signalled");
     assert_eq!(service.logged("reload").len(), reloads);
     service.edit(r#"s/^nodes = .*/nodes = ["1-5"]/"#);
+    eventually("the counters are at rest", || {
+        service.metrics().breaches().is_empty().then_some(())
+    });
 }
 
 /// A relay that hangs is ended and started anew; one that dies as well.

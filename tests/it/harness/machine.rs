@@ -39,7 +39,10 @@ const BOOT: &str = r#"
 set -eu
 cd root
 mount -t proc proc proc
-mount -t sysfs sysfs sys
+# systemd sets some of what belongs to the kernel as a whole.
+mount --bind proc/sys proc/sys
+mount -o remount,bind,ro proc/sys
+mount -t sysfs -o ro sysfs sys
 mount -t cgroup2 cgroup2 sys/fs/cgroup
 mount -t tmpfs tmpfs run
 mount -t tmpfs tmpfs tmp
