@@ -64,11 +64,15 @@ impl Service {
 
     /// Whether a request to this node is answered.
     fn answers(&self, node: &str) -> bool {
-        let line = format!(
-            "pnet-nat request --to 127.0.0.1 --start-port 40000 --node {node} --timeout 500ms \
-             --password-file /etc/pnet-nat/secrets/section-1"
-        );
-        self.0.output(&["sh", "-c", &line]).status.success()
+        self.answers_at("40000", node)
+    }
+
+    fn answers_at(&self, start_port: &str, node: &str) -> bool {
+        let (to, password) = ("127.0.0.1", "/etc/pnet-nat/secrets/section-1");
+        let request = ["pnet-nat", "request", "--to", to, "--start-port", start_port];
+        let request = [&request[..], &["--node", node, "--timeout", "500ms"]];
+        let request = [request.concat(), vec!["--password-file", password]].concat();
+        self.0.output(&request).status.success()
     }
 
     fn metrics(&self) -> Metrics {
@@ -195,25 +199,42 @@ fn reloaded(service: &Service) {
     });
 }
 
-/// A relay that hangs is ended and started anew; one that dies as well.
+/// What README.md has for ports below 1024; and a watchdog that need not be waited for.
+const DROP_IN: &str = "[Service]
+PrivateUsers=no
+CapabilityBoundingSet=CAP_NET_BIND_SERVICE
+AmbientCapabilities=CAP_NET_BIND_SERVICE
+WatchdogSec=2s
+";
+
+/// A relay that hangs is ended and started anew, one that dies as well, and one that refuses its
+/// configuration is left alone.
 fn watched(service: &Service) {
     let Service(machine) = service;
-    let restarts = || service.property("NRestarts");
-    machine.shell(
-        "mkdir -p /etc/systemd/system/pnet-nat.service.d
-         printf '[Service]\\nWatchdogSec=2s\\n' > /etc/systemd/system/pnet-nat.service.d/test.conf",
-    );
+    machine
+        .shell(&format!("mkdir -p {DROP_INS} && printf '%s' '{DROP_IN}' > {DROP_INS}/test.conf"));
     machine.run(&["systemctl", "daemon-reload"]);
+    service.edit("s/^start_port = .*/start_port = 600/");
     machine.run(&["systemctl", "restart", "pnet-nat"]);
-    assert!(service.answers("1-5"));
+    assert!(service.answers_at("600", "1-5"));
     for (signal, count) in [("STOP", "1"), ("KILL", "2")] {
         machine.run(&["systemctl", "kill", "--signal", signal, "--kill-who=main", "pnet-nat"]);
         eventually("it is started anew", || {
-            (restarts() == count && service.property("ActiveState") == "active").then_some(())
+            let anew = service.property("NRestarts") == count;
+            (anew && service.property("ActiveState") == "active").then_some(())
         });
-        assert!(service.answers("1-5"));
+        assert!(service.answers_at("600", "1-5"));
     }
+
+    service.edit("s/^start_port = .*/start_port = 0/");
+    assert!(!machine.output(&["systemctl", "restart", "pnet-nat"]).status.success());
+    service.expect_state("failed");
+    service.edit("s/^start_port = .*/start_port = 40000/");
+    machine.run(&["systemctl", "restart", "pnet-nat"]);
+    assert!(service.answers("1-5"));
 }
+
+const DROP_INS: &str = "/etc/systemd/system/pnet-nat.service.d";
 
 fn removed(service: &Service) {
     let Service(machine) = service;
@@ -222,7 +243,10 @@ fn removed(service: &Service) {
     assert!(!machine.output(&["which", "pnet-nat"]).status.success());
     machine.run(&["ls", "/etc/pnet-nat/pnet-nat.toml", "/etc/pnet-nat/secrets/section-1"]);
     machine.run(&["dpkg", "--purge", "pnet-nat"]);
-    let left = machine.shell("find /etc /usr/lib /usr/share /var/lib -xdev -path '*pnet-nat*'");
+    let left = machine.shell(
+        "cd / && find etc usr/bin usr/lib/systemd usr/share/doc var/lib/systemd var/lib/dpkg/info \
+         -path '*pnet-nat*'",
+    );
     let left: Vec<_> = left.lines().filter(|file| !file.contains("pnet-nat.service.d")).collect();
     assert_eq!(left, [""; 0]);
 }
