@@ -5,6 +5,7 @@
 //! with its owner, also when the test fails.
 
 mod capture;
+mod machine;
 mod metrics;
 mod network;
 mod octets;
@@ -17,6 +18,7 @@ use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
 use std::time::{Duration, Instant};
 
 pub(crate) use capture::{Capture, Packet};
+pub(crate) use machine::Machine;
 pub(crate) use metrics::Metrics;
 pub(crate) use network::{Namespace, Network};
 pub(crate) use octets::{

@@ -136,7 +136,8 @@ pub(crate) struct Namespace {
 }
 
 impl Namespace {
-    fn new(place: &str) -> Result<Self, String> {
+    /// Makes one; tells why that is not possible.
+    pub(crate) fn new(place: &str) -> Result<Self, String> {
         static NEXT: AtomicU32 = AtomicU32::new(0);
         let name = format!("pnet-nat-{}-{}-{place}", process::id(), NEXT.fetch_add(1, Relaxed));
         let made = Command::new("ip").args(["netns", "add", &name]).output();

@@ -1,0 +1,206 @@
+//! The files of `deploy/kubernetes`: built by kustomize, held to the published schemas, and the
+//! container's command run as the manifest has it, in a folder such as a kubelet makes.
+//!
+//! Needs kubectl and kubernetes-validate; running as the container's user needs root and setpriv.
+
+use std::fs::{self, Permissions};
+use std::io::Write;
+use std::os::unix::fs::{PermissionsExt, chown, symlink};
+use std::path::Path;
+use std::process::{Command, Output, Stdio};
+
+use nix::sys::signal::Signal;
+use nix::unistd::geteuid;
+use serde_json::Value;
+
+use crate::harness::{Metrics, PASSWORD, Process, Site, eventually, exchange, left_out, pnet_nat};
+
+const FOLDER: &str = "deploy/kubernetes";
+/// Where `.ci/run` installs the validator, which brings the schemas along.
+const TOOLS: &str = "target/kubernetes-validate/bin";
+/// The oldest and the newest that are to take it.
+const VERSIONS: [&str; 2] = ["1.29", "1.37"];
+
+const TOKEN: &str = "s3cr3t-0123456789";
+
+fn feed(command: &mut Command, input: &str) -> Output {
+    let command = command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());
+    let mut child = command.spawn().unwrap();
+    child.stdin.take().unwrap().write_all(input.as_bytes()).unwrap();
+    child.wait_with_output().unwrap()
+}
+
+/// The manifests as text.
+fn build() -> Option<String> {
+    let Ok(output) = Command::new("kubectl").args(["kustomize", FOLDER]).output() else {
+        left_out("kubectl, such as of the package kubernetes-client");
+        return None;
+    };
+    assert!(output.status.success(), "{output:?}");
+    if !Path::new(TOOLS).exists() {
+        left_out(&format!("kubernetes-validate, of PyPI, in {TOOLS}"));
+        return None;
+    }
+    Some(String::from_utf8(output.stdout).unwrap())
+}
+
+/// What the schemas have against manifests.
+fn complaint(manifests: &str, version: &str) -> Option<String> {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("manifests.yaml");
+    fs::write(&file, manifests).unwrap();
+    let mut command = Command::new(format!("{TOOLS}/kubernetes-validate"));
+    let output = command.args(["--strict", "-k", version]).arg(file).output().unwrap();
+    (!output.status.success()).then(|| format!("{output:?}"))
+}
+
+/// The manifest of this kind.
+fn manifest(manifests: &str, kind: &str) -> Value {
+    let mut python = Command::new(format!("{TOOLS}/python"));
+    python.args([
+        "-c",
+        "import json, sys, yaml; json.dump([*yaml.safe_load_all(sys.stdin)], sys.stdout)",
+    ]);
+    let all: Vec<Value> = serde_json::from_slice(&feed(&mut python, manifests).stdout).unwrap();
+    let mut found = all.into_iter().filter(|manifest| manifest["kind"] == kind);
+    let manifest = found.next().expect(kind);
+    assert!(found.next().is_none(), "one {kind}");
+    manifest
+}
+
+#[test]
+fn the_manifests_are_as_the_schemas_want_them() {
+    let Some(manifests) = build() else { return };
+    for version in VERSIONS {
+        assert_eq!(complaint(&manifests, version), None);
+        // Were one of them wrong, it would be told.
+        for (right, wrong) in [("runAsNonRoot", "runAsNotRoot"), ("replicas: 2", "replicas: two")] {
+            assert!(manifests.contains(right));
+            let complaint = complaint(&manifests.replace(right, wrong), version);
+            assert!(complaint.is_some(), "{wrong}");
+        }
+    }
+    let deployment = manifest(&manifests, "Deployment");
+    let labels = &deployment["spec"]["template"]["metadata"]["labels"];
+    let budget = manifest(&manifests, "PodDisruptionBudget");
+    for selector in [&deployment["spec"]["selector"], &budget["spec"]["selector"]] {
+        assert_eq!(&selector["matchLabels"], labels);
+    }
+    let annotations = &deployment["spec"]["template"]["metadata"]["annotations"];
+    let pod = &deployment["spec"]["template"]["spec"];
+    let port = pod["containers"][0]["ports"][0]["containerPort"].to_string();
+    assert_eq!(annotations["prometheus.io/port"], port);
+}
+
+/// As README.md has it, without a cluster.
+#[test]
+fn the_secret_is_one_that_the_schema_takes() {
+    if build().is_none() {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    fs::write(folder.path().join("section-1"), PASSWORD).unwrap();
+    let mut command = Command::new("kubectl");
+    command.args(["create", "secret", "generic", "pnet-nat", "--namespace=pnet-nat"]);
+    command.args(["--dry-run=client", "--output=yaml"]);
+    command.arg(format!("--from-file={}", folder.path().display()));
+    let output = command.output().unwrap();
+    assert!(output.status.success(), "{output:?}");
+    let secret = String::from_utf8(output.stdout).unwrap();
+    assert_eq!(manifest(&secret, "Secret")["data"]["section-1"], "czNjcjN0LUE=");
+}
+
+/// Lays out a projected volume: `..data` leads to a folder, and each entry to one in there.
+fn mount(folder: &Path, volume: &Value, configuration: &str, group: u32) {
+    let mode = volume["projected"]["defaultMode"].as_u64().unwrap() as u32;
+    let data = folder.join("..2026_11_22");
+    fs::create_dir_all(data.join("secrets")).unwrap();
+    let write = |path: &str, content: &[u8]| {
+        let path = data.join(path);
+        fs::write(&path, content).unwrap();
+        chown(&path, None, Some(group)).unwrap();
+        fs::set_permissions(&path, Permissions::from_mode(mode)).unwrap();
+    };
+    write("pnet-nat.toml", configuration.as_bytes());
+    for item in volume["projected"]["sources"][1]["secret"]["items"].as_array().unwrap() {
+        let content = match item["key"].as_str().unwrap() {
+            "section-1" => PASSWORD.as_slice(),
+            "admin" => TOKEN.as_bytes(),
+            key => panic!("{key} is not in the secret of README.md"),
+        };
+        write(item["path"].as_str().unwrap(), content);
+    }
+    symlink("..2026_11_22", folder.join("..data")).unwrap();
+    for entry in ["pnet-nat.toml", "secrets"] {
+        symlink(format!("..data/{entry}"), folder.join(entry)).unwrap();
+    }
+    for path in [folder, &data, &data.join("secrets")] {
+        fs::set_permissions(path, Permissions::from_mode(0o755)).unwrap();
+    }
+}
+
+#[test]
+fn the_container_relays_as_its_manifest_has_it() {
+    let Some(manifests) = build() else { return };
+    if !geteuid().is_root() || Command::new("setpriv").arg("--version").output().is_err() {
+        return left_out("root and setpriv, to become the container's user");
+    }
+    let deployment = manifest(&manifests, "Deployment");
+    let pod = &deployment["spec"]["template"]["spec"];
+    let container = &pod["containers"][0];
+    let id = |name: &str| pod["securityContext"][name].as_u64().unwrap();
+
+    let site = Site::claim();
+    let mut configuration =
+        manifest(&manifests, "ConfigMap")["data"]["pnet-nat.toml"].as_str().unwrap().to_owned();
+    let (public, subnet) = (site.public_address(), site.address(0));
+    for (from, to) in [
+        (r#"listen = ["0.0.0.0"]"#, format!(r#"listen = ["{public}"]"#)),
+        ("0.0.0.0:9378", site.admin().to_string()),
+        ("start_port = 40000", format!("start_port = {}", site.start_port())),
+        ("172.17.17.0", subnet.to_string()),
+        ("198.51.100.0/24", format!("{subnet}/24")),
+    ] {
+        assert!(configuration.contains(from), "{from}");
+        configuration = configuration.replace(from, &to);
+    }
+    let files = tempfile::tempdir().unwrap();
+    mount(files.path(), &pod["volumes"][0], &configuration, id("fsGroup") as u32);
+    // Whoever it is can run the copy, and not the original.
+    let program = files.path().join("pnet-nat");
+    fs::copy(pnet_nat(&[]).get_program(), &program).unwrap();
+    fs::set_permissions(&program, Permissions::from_mode(0o755)).unwrap();
+
+    let mut command = Command::new("setpriv");
+    command.arg(format!("--reuid={}", id("runAsUser")));
+    command.arg(format!("--regid={}", id("runAsGroup")));
+    command.arg(format!("--groups={}", id("fsGroup")));
+    command.args(["--no-new-privs", "--bounding-set=-all", "--inh-caps=-all"]).arg(program);
+    let mounted = container["volumeMounts"][0]["mountPath"].as_str().unwrap();
+    for argument in container["args"].as_array().unwrap() {
+        let argument = argument.as_str().unwrap();
+        command.arg(argument.replace(mounted, files.path().to_str().unwrap()));
+    }
+    let mut relay = Process::start(command);
+    let agent: ureq::Agent =
+        ureq::Agent::config_builder().http_status_as_error(false).build().into();
+    let get = |path: &str| agent.get(format!("http://{}{path}", site.admin()));
+    let ask = |path: &str| Some(get(path).call().ok()?.status().as_u16());
+    for probe in ["readinessProbe", "livenessProbe"] {
+        let path = container[probe]["httpGet"]["path"].as_str().unwrap();
+        eventually("the probe is content", || {
+            assert!(!relay.has_ended(), "{}", relay.stderr());
+            (ask(path) == Some(200)).then_some(())
+        });
+    }
+    assert_eq!(ask("/metrics"), Some(401), "the network sees nothing without the token");
+    exchange(&site.client(), site.public(4), &site.node(4), 4);
+    eventually("the counters are at rest", || {
+        let scrape = get("/metrics").header("Authorization", format!("Bearer {TOKEN}"));
+        let text = scrape.call().unwrap().body_mut().read_to_string().unwrap();
+        Metrics::parse(&text).breaches().is_empty().then_some(())
+    });
+    relay.signal(Signal::SIGTERM);
+    assert_eq!(relay.end(), Some(0), "{}", relay.stderr());
+    assert!(!relay.stderr().contains(str::from_utf8(PASSWORD).unwrap()));
+}

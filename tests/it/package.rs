@@ -1,0 +1,252 @@
+//! The Debian package and its systemd unit, installed, run and removed on a copy of this machine.
+//!
+//! Needs root, systemd and cargo-deb.
+
+use std::path::PathBuf;
+use std::process::Command;
+
+use serde_json::Value;
+
+use crate::harness::{Machine, Metrics, PASSWORD, Process, eventually, left_out};
+
+const UNIT: &str = "deploy/systemd/pnet-nat.service";
+
+/// The most that `systemd-analyze security` may find exposed, of 10.
+const MOST_EXPOSED: f64 = 2.0;
+
+/// Packs the binary of the tests: nothing is compiled.
+fn package(folder: &tempfile::TempDir) -> Option<PathBuf> {
+    let file = folder.path().join("pnet-nat.deb");
+    if Command::new(env!("CARGO")).args(["deb", "--version"]).output().unwrap().status.success() {
+        let mut command = Command::new(env!("CARGO"));
+        command.args(["deb", "--no-build", "--profile", "dev", "--fast", "--locked", "--offline"]);
+        let output = command.arg("--output").arg(&file).output().unwrap();
+        assert!(output.status.success(), "{output:?}");
+        Some(file)
+    } else {
+        left_out("cargo-deb");
+        None
+    }
+}
+
+#[test]
+fn the_unit_leaves_little_exposed() {
+    let analyze = |arguments: &[&str]| {
+        Command::new("systemd-analyze").args(arguments).arg(UNIT).output().ok()
+    };
+    let Some(output) = analyze(&["security", "--offline=true", "--no-pager"]) else {
+        return left_out("systemd-analyze, of the package systemd");
+    };
+    let text = String::from_utf8(output.stdout).unwrap();
+    let (_, level) = text.split_once("Overall exposure level").expect("an overall level");
+    let exposure = level.split_whitespace().find_map(|word| word.parse::<f64>().ok()).expect(level);
+    assert!(exposure < MOST_EXPOSED, "{text}");
+
+    // What it does not know, or cannot find, it says.
+    let verified = String::from_utf8(analyze(&["verify"]).unwrap().stderr).unwrap();
+    let expected = ["ignoring: notify-reload", "Command /usr/bin/pnet-nat is not executable"];
+    let is_expected = |line: &&str| expected.iter().any(|expected| line.contains(expected));
+    let complaints: Vec<_> = verified.lines().filter(|line| !is_expected(line)).collect();
+    assert_eq!(complaints, [""; 0]);
+}
+
+/// The service on a machine that has the package.
+struct Service(Machine);
+
+impl Service {
+    fn property(&self, name: &str) -> String {
+        self.0.run(&["systemctl", "show", "--value", "--property", name, "pnet-nat"]).trim().into()
+    }
+
+    fn expect_state(&self, state: &str) {
+        assert_eq!(self.property("ActiveState"), state, "{}", self.0.journal());
+    }
+
+    /// Whether a request to this node is answered.
+    fn answers(&self, node: &str) -> bool {
+        self.answers_at("40000", node)
+    }
+
+    fn answers_at(&self, start_port: &str, node: &str) -> bool {
+        let (to, password) = ("127.0.0.1", "/etc/pnet-nat/secrets/section-1");
+        let request = ["pnet-nat", "request", "--to", to, "--start-port", start_port];
+        let request = [&request[..], &["--node", node, "--timeout", "500ms"]];
+        let request = [request.concat(), vec!["--password-file", password]].concat();
+        self.0.output(&request).status.success()
+    }
+
+    fn metrics(&self) -> Metrics {
+        Metrics::parse(&self.0.run(&["curl", "--silent", "http://127.0.0.1:9378/metrics"]))
+    }
+
+    /// Changes the configuration.
+    fn edit(&self, expression: &str) {
+        self.0.run(&["sed", "-i", expression, "/etc/pnet-nat/pnet-nat.toml"]);
+    }
+
+    /// The lines of the relay's own log with this message.
+    fn logged(&self, message: &str) -> Vec<Value> {
+        let journal = self.0.journal();
+        let lines = journal.lines().filter_map(|line| serde_json::from_str::<Value>(line).ok());
+        lines.filter(|line| line["message"] == message).collect()
+    }
+}
+
+#[test]
+fn the_package_is_installed_run_and_removed() {
+    let folder = tempfile::tempdir().unwrap();
+    let Some(package) = package(&folder) else { return };
+    let machine = match Machine::start() {
+        Ok(machine) => machine,
+        Err(want) => return left_out(&want),
+    };
+    machine.run(&["mkdir", "/tmp/packages"]);
+    let copy = format!("cp /dev/stdin {PACKAGE}");
+    let mut command = machine.command(&["sh", "-c", &copy]);
+    command.stdin(std::fs::File::open(package).unwrap());
+    assert!(command.status().unwrap().success());
+
+    machine.run(&["dpkg", "--install", PACKAGE]);
+    let service = Service(machine);
+    installed_and_not_started(&service);
+    let _nodes = configured_and_started(&service);
+    confined(&service);
+    reloaded(&service);
+    watched(&service);
+    removed(&service);
+}
+
+const PACKAGE: &str = "/tmp/packages/pnet-nat.deb";
+
+fn installed_and_not_started(service: &Service) {
+    let Service(machine) = service;
+    service.expect_state("inactive");
+    assert_eq!(service.property("UnitFileState"), "disabled");
+    let modes = machine.shell("cd /etc/pnet-nat && stat --format '%n %a %U' pnet-nat.toml secrets");
+    assert_eq!(modes, "pnet-nat.toml 644 root\nsecrets 700 root\n");
+    let listed = machine.run(&["dpkg-query", "--listfiles", "pnet-nat"]);
+    for file in ["/usr/bin/pnet-nat", "/etc/fail2ban/filter.d/pnet-nat.conf"] {
+        assert!(listed.lines().any(|line| line == file), "{listed}");
+    }
+}
+
+/// As the README has it: passwords, configuration, check, start. Then simulated nodes, and a request.
+fn configured_and_started(service: &Service) -> Process {
+    let Service(machine) = service;
+    let password = str::from_utf8(PASSWORD).unwrap();
+    machine.shell(&format!("umask 077; printf %s '{password}' > /etc/pnet-nat/secrets/section-1"));
+    // Of the annotated configuration, the first section alone.
+    service.edit(r#"/^\[\[server\]\]/,/^# ── Bounds/d"#);
+    service
+        .edit(r#"s/^subnet = .*/subnet = "127.17.17.0"/; s/^allow = .*/allow = ["127.0.0.0\/8"]/"#);
+    machine.run(&["pnet-nat", "check", "--config", "/etc/pnet-nat/pnet-nat.toml"]);
+    machine.run(&["systemctl", "enable", "--now", "pnet-nat"]);
+
+    service.expect_state("active");
+    assert!(service.property("StatusText").starts_with("relaying"));
+    let nodes = Process::start(machine.command(&[
+        "pnet-nat",
+        "node",
+        "--listen=127.17.17.1-5",
+        "--password-file=/etc/pnet-nat/secrets/section-1",
+    ]));
+    eventually("the nodes are there", || (nodes.stdout().lines().count() == 5).then_some(()));
+    assert!(service.answers("1-4"));
+    nodes
+}
+
+fn confined(service: &Service) {
+    let Service(machine) = service;
+    let id = service.property("MainPID");
+    let status = machine.run(&["cat", &format!("/proc/{id}/status")]);
+    let field = |name: &str| {
+        let line = status.lines().find_map(|line| line.strip_prefix(name));
+        line.unwrap().split_whitespace().next().unwrap().to_owned()
+    };
+    assert_ne!(field("Uid:"), "0");
+    assert_eq!(field("CapBnd:").trim_start_matches('0'), "");
+    // Its own confinement is not in the way of the unit's, nor the other way round.
+    let confined = service.logged("confined").len() + service.logged("confined in part").len();
+    assert_eq!(confined, 1);
+    let line = service.logged("confined").pop();
+    let line = line.or_else(|| service.logged("confined in part").pop()).unwrap();
+    for layer in ["memory", "no_new_privs", "capabilities", "seccomp"] {
+        assert_eq!(line[layer], "on", "{line}");
+    }
+    assert!(service.metrics().sum("process_open_fds", &[]) > 5, "it can count what is its own");
+}
+
+/// A sound configuration comes into force; of one that is not, the relay does not even hear.
+fn reloaded(service: &Service) {
+    let Service(machine) = service;
+    assert!(!service.answers("5"));
+    service.edit(r#"s/^nodes = .*/nodes = ["1-5"]/"#);
+    machine.run(&["systemctl", "reload", "pnet-nat"]);
+    eventually("node 5 is answered for", || service.answers("5").then_some(()));
+    let reloads = service.logged("reload").len();
+
+    service.edit(r#"s/^nodes = .*/nodes = ["1-500"]/"#);
+    let reload = machine.output(&["systemctl", "reload", "pnet-nat"]);
+    assert!(!reload.status.success());
+    assert!(machine.journal().contains("1-500"), "the fault is in the journal");
+    service.expect_state("active");
+    assert!(service.answers("1-5"));
+    assert_eq!(service.logged("reload failed").len(), 0, "nothing was signalled");
+    assert_eq!(service.logged("reload").len(), reloads);
+    service.edit(r#"s/^nodes = .*/nodes = ["1-5"]/"#);
+    eventually("the counters are at rest", || {
+        service.metrics().breaches().is_empty().then_some(())
+    });
+}
+
+/// What README.md has for ports below 1024; and a watchdog that need not be waited for.
+const DROP_IN: &str = "[Service]
+PrivateUsers=no
+CapabilityBoundingSet=CAP_NET_BIND_SERVICE
+AmbientCapabilities=CAP_NET_BIND_SERVICE
+WatchdogSec=2s
+";
+
+/// A relay that hangs is ended and started anew, one that dies as well, and one that refuses its
+/// configuration is left alone.
+fn watched(service: &Service) {
+    let Service(machine) = service;
+    machine
+        .shell(&format!("mkdir -p {DROP_INS} && printf '%s' '{DROP_IN}' > {DROP_INS}/test.conf"));
+    machine.run(&["systemctl", "daemon-reload"]);
+    service.edit("s/^start_port = .*/start_port = 600/");
+    machine.run(&["systemctl", "restart", "pnet-nat"]);
+    assert!(service.answers_at("600", "1-5"));
+    for (signal, count) in [("STOP", "1"), ("KILL", "2")] {
+        machine.run(&["systemctl", "kill", "--signal", signal, "--kill-who=main", "pnet-nat"]);
+        eventually("it is started anew", || {
+            let anew = service.property("NRestarts") == count;
+            (anew && service.property("ActiveState") == "active").then_some(())
+        });
+        assert!(service.answers_at("600", "1-5"));
+    }
+
+    service.edit("s/^start_port = .*/start_port = 0/");
+    assert!(!machine.output(&["systemctl", "restart", "pnet-nat"]).status.success());
+    service.expect_state("failed");
+    service.edit("s/^start_port = .*/start_port = 40000/");
+    machine.run(&["systemctl", "restart", "pnet-nat"]);
+    assert!(service.answers("1-5"));
+}
+
+const DROP_INS: &str = "/etc/systemd/system/pnet-nat.service.d";
+
+fn removed(service: &Service) {
+    let Service(machine) = service;
+    machine.run(&["dpkg", "--remove", "pnet-nat"]);
+    service.expect_state("inactive");
+    assert!(!machine.output(&["which", "pnet-nat"]).status.success());
+    machine.run(&["ls", "/etc/pnet-nat/pnet-nat.toml", "/etc/pnet-nat/secrets/section-1"]);
+    machine.run(&["dpkg", "--purge", "pnet-nat"]);
+    let left = machine.shell(
+        "cd / && find etc usr/bin usr/lib/systemd usr/share/doc var/lib/systemd var/lib/dpkg/info \
+         -path '*pnet-nat*'",
+    );
+    let left: Vec<_> = left.lines().filter(|file| !file.contains("pnet-nat.service.d")).collect();
+    assert_eq!(left, [""; 0]);
+}
