@@ -2,12 +2,13 @@
 //!
 //! Needs root, systemd and cargo-deb.
 
-use std::path::PathBuf;
+use std::fs;
+use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use serde_json::Value;
 
-use crate::harness::{Machine, Metrics, PASSWORD, Process, eventually, left_out};
+use crate::harness::{Machine, Metrics, PASSWORD, Process, eventually, left_out, pnet_nat};
 
 const UNIT: &str = "deploy/systemd/pnet-nat.service";
 
@@ -18,6 +19,13 @@ const MOST_EXPOSED: f64 = 2.0;
 fn package(folder: &tempfile::TempDir) -> Option<PathBuf> {
     let file = folder.path().join("pnet-nat.deb");
     if Command::new(env!("CARGO")).args(["deb", "--version"]).output().unwrap().status.success() {
+        let pages = Path::new("target/package");
+        fs::create_dir_all(pages).unwrap();
+        let made = pnet_nat(&["man", pages.to_str().unwrap()]).status().unwrap();
+        assert!(made.success());
+        let completions = pnet_nat(&["completions", "bash"]).output().unwrap();
+        fs::write(pages.join("pnet-nat.bash"), completions.stdout).unwrap();
+
         let mut command = Command::new(env!("CARGO"));
         command.args(["deb", "--no-build", "--profile", "dev", "--fast", "--locked", "--offline"]);
         let output = command.arg("--output").arg(&file).output().unwrap();
@@ -125,7 +133,9 @@ fn installed_and_not_started(service: &Service) {
     let modes = machine.shell("cd /etc/pnet-nat && stat --format '%n %a %U' pnet-nat.toml secrets");
     assert_eq!(modes, "pnet-nat.toml 644 root\nsecrets 700 root\n");
     let listed = machine.run(&["dpkg-query", "--listfiles", "pnet-nat"]);
-    for file in ["/usr/bin/pnet-nat", "/etc/fail2ban/filter.d/pnet-nat.conf"] {
+    let page = "/usr/share/man/man1/pnet-nat-run.1.gz";
+    let completions = "/usr/share/bash-completion/completions/pnet-nat";
+    for file in ["/usr/bin/pnet-nat", page, completions, "/etc/fail2ban/filter.d/pnet-nat.conf"] {
         assert!(listed.lines().any(|line| line == file), "{listed}");
     }
 }

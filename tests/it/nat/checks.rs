@@ -341,11 +341,15 @@ fn random_ports(tested: &Tested<'_>) -> bool {
 fn on_record(tested: &Tested<'_>) -> bool {
     let (client, node) = (tested.client(CLIENT), tested.network.node(4));
     let exchanged = tested.exchange(&client, &node).is_some() && tested.idle_flows_end();
-    let records = tested.records();
     let tells = |line: &&str| {
         ["198.51.100.7", "50000", "40004", "service"].iter().all(|what| line.contains(what))
     };
-    exchanged && records.lines().filter(tells).count() == 2
+    // A log is written a little later than things happen.
+    let told = (0..200).any(|_| {
+        pause(Duration::from_millis(10));
+        tested.records().lines().filter(tells).count() == 2
+    });
+    exchanged && told
 }
 
 /// RFC 8085.
