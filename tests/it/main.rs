@@ -11,6 +11,7 @@ mod check;
 mod command_line;
 mod commands;
 mod confinement;
+mod container;
 mod decode;
 mod drops;
 mod fail2ban;

@@ -1,0 +1,22 @@
+# The image of pnet-nat, from a folder that holds the static program:
+#
+#   cargo build --profile dist --locked --target x86_64-unknown-linux-musl
+#   install -D target/x86_64-unknown-linux-musl/dist/pnet-nat target/image/pnet-nat
+#   docker build --tag pnet-nat --file deploy/container/prebuilt.Dockerfile target/image
+#
+# From `LABEL` on it is the same as Dockerfile; a test holds the two together.
+
+FROM scratch
+COPY pnet-nat /usr/bin/pnet-nat
+LABEL org.opencontainers.image.title="pnet-nat" \
+      org.opencontainers.image.description="The NAT router of P-NET on IP (IEC PAS 62412)" \
+      org.opencontainers.image.licenses="MIT OR Apache-2.0"
+# By number, so that Kubernetes sees that it is not root. Password files have to be this user's.
+USER 65532:65532
+# The configuration goes into this folder, which is mounted whole: files that are exchanged in it are
+# seen at the next reload.
+ENV PNET_NAT_CONFIG=/etc/pnet-nat/pnet-nat.toml
+# Asks 127.0.0.1:9378; PNET_NAT_HEALTHCHECK_URL names another `[admin] listen`.
+HEALTHCHECK --interval=10s --timeout=5s CMD ["/usr/bin/pnet-nat", "healthcheck"]
+ENTRYPOINT ["/usr/bin/pnet-nat"]
+CMD ["run"]

@@ -1,0 +1,153 @@
+//! The Docker engine: images made on the spot, containers, networks. Invariant: what a scenario made
+//! is gone when it ends, also when it fails.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{self, Command};
+use std::sync::OnceLock;
+use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
+
+use crate::harness::{eventually, left_out};
+
+const REPOSITORY: &str = env!("CARGO_MANIFEST_DIR");
+/// What the Dockerfile's build gets to see.
+const IGNORE: &str = include_str!("../../../deploy/container/Dockerfile.dockerignore");
+
+/// Whether there is an engine; says so where there is none.
+pub(super) fn has_docker() -> bool {
+    let has = Command::new("docker").arg("info").output().is_ok_and(|out| out.status.success());
+    if !has {
+        left_out("a Docker engine, of the package docker.io");
+    }
+    has
+}
+
+/// What a command of the engine prints on stdout.
+#[track_caller]
+pub(super) fn docker(arguments: &[&str]) -> String {
+    output(Command::new("docker").args(arguments))
+}
+
+#[track_caller]
+pub(super) fn output(command: &mut Command) -> String {
+    let output = command.output().unwrap();
+    let stderr = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{command:?}: {}\n{stderr}", output.status);
+    String::from_utf8(output.stdout).unwrap().trim_end().to_owned()
+}
+
+/// A name that nothing else of the engine has.
+fn name() -> String {
+    static NEXT: AtomicU32 = AtomicU32::new(0);
+    format!("pnet-nat-{}-{}", process::id(), NEXT.fetch_add(1, Relaxed))
+}
+
+/// An image.
+#[derive(Debug)]
+pub(super) struct Image(pub(super) String);
+
+impl Image {
+    /// pnet-nat's own, by `prebuilt.Dockerfile`; says so where it cannot be made.
+    pub(super) fn prebuilt() -> Option<Self> {
+        let program = has_docker().then(program).flatten()?;
+        let context = tempfile::tempdir().unwrap();
+        fs::copy(program, context.path().join("pnet-nat")).unwrap();
+        let dockerfile = format!("{REPOSITORY}/deploy/container/prebuilt.Dockerfile");
+        Some(Self::build(Path::new(&dockerfile), context.path()))
+    }
+
+    pub(super) fn build(dockerfile: &Path, context: &Path) -> Self {
+        let image = Self(name());
+        let mut build = Command::new("docker");
+        build.args(["build", "--quiet", "--tag", &image.0, "--file"]).arg(dockerfile).arg(context);
+        output(&mut build);
+        image
+    }
+}
+
+impl Drop for Image {
+    fn drop(&mut self) {
+        let _ = Command::new("docker").args(["image", "rm", "--force", &self.0]).output();
+    }
+}
+
+/// A container, by the name that it gets.
+#[derive(Debug)]
+pub(super) struct Container(pub(super) String);
+
+impl Container {
+    pub(super) fn name() -> Self {
+        Self(name())
+    }
+
+    /// Waits until its health is good.
+    #[track_caller]
+    pub(super) fn expect_healthy(&self) {
+        let inspect = ["inspect", "--format", "{{.State.Health.Status}}", &self.0];
+        eventually("the container is healthy", || {
+            // It may not be there yet.
+            let health = Command::new("docker").args(inspect).output().unwrap();
+            (health.stdout == b"healthy\n").then_some(())
+        });
+    }
+}
+
+impl Drop for Container {
+    fn drop(&mut self) {
+        let _ = Command::new("docker").args(["rm", "--force", "--volumes", &self.0]).output();
+    }
+}
+
+/// A bridge between containers and this host.
+#[derive(Debug)]
+pub(super) struct Bridge(pub(super) String);
+
+impl Bridge {
+    pub(super) fn create() -> Self {
+        let bridge = Self(name());
+        docker(&["network", "create", &bridge.0]);
+        bridge
+    }
+
+    /// This host's address in it.
+    pub(super) fn gateway(&self) -> String {
+        let field = "{{(index .IPAM.Config 0).Gateway}}";
+        docker(&["network", "inspect", "--format", field, &self.0])
+    }
+}
+
+impl Drop for Bridge {
+    fn drop(&mut self) {
+        let _ = Command::new("docker").args(["network", "rm", &self.0]).output();
+    }
+}
+
+/// The static program, as the image has it; says so where it cannot be built. It is built from what
+/// the Dockerfile's build gets to see, and takes minutes when the code has changed.
+pub(super) fn program() -> Option<&'static Path> {
+    static PROGRAM: OnceLock<Option<PathBuf>> = OnceLock::new();
+    PROGRAM.get_or_init(build).as_deref()
+}
+
+fn build() -> Option<PathBuf> {
+    let target = format!("{}-unknown-linux-musl", std::env::consts::ARCH);
+    let mut libraries = Command::new("rustc");
+    let libraries = libraries.args(["--print", "target-libdir", "--target", &target]);
+    if !Path::new(&output(libraries)).exists() {
+        left_out(&format!("Rust's library for {target}: rustup target add {target}"));
+        return None;
+    }
+    // Always the same place, and files as old as they are: cargo knows what it has built.
+    let temporary = Path::new(env!("CARGO_TARGET_TMPDIR"));
+    let context = temporary.join("container");
+    let _ = fs::remove_dir_all(&context);
+    fs::create_dir(&context).unwrap();
+    for seen in IGNORE.lines().filter_map(|line| line.strip_prefix('!')) {
+        output(Command::new("cp").args(["--archive", seen]).arg(&context).current_dir(REPOSITORY));
+    }
+    let all = temporary.parent().unwrap();
+    let mut cargo = Command::new(env!("CARGO"));
+    cargo.args(["build", "--profile", "dist", "--locked", "--target", &target, "--target-dir"]);
+    output(cargo.arg(all).current_dir(&context));
+    Some(all.join(target).join("dist/pnet-nat"))
+}
