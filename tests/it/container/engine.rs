@@ -47,9 +47,9 @@ fn name() -> String {
 pub(super) struct Image(pub(super) String);
 
 impl Image {
-    /// pnet-nat's own, by `prebuilt.Dockerfile`; says so where it cannot be made.
+    /// pnet-nat's own, by `prebuilt.Dockerfile`; says so where there is no engine.
     pub(super) fn prebuilt() -> Option<Self> {
-        let program = has_docker().then(program).flatten()?;
+        let program = has_docker().then(program)?;
         let context = tempfile::tempdir().unwrap();
         fs::copy(program, context.path().join("pnet-nat")).unwrap();
         let dockerfile = format!("{REPOSITORY}/deploy/container/prebuilt.Dockerfile");
@@ -122,21 +122,23 @@ impl Drop for Bridge {
     }
 }
 
-/// The static program, as the image has it; says so where it cannot be built. It is built from what
-/// the Dockerfile's build gets to see, and takes minutes when the code has changed.
-pub(super) fn program() -> Option<&'static Path> {
-    static PROGRAM: OnceLock<Option<PathBuf>> = OnceLock::new();
-    PROGRAM.get_or_init(build).as_deref()
+/// The static program, as the image has it. It is built from what the Dockerfile's build gets to see,
+/// and takes minutes when the code has changed.
+fn program() -> &'static Path {
+    static PROGRAM: OnceLock<PathBuf> = OnceLock::new();
+    PROGRAM.get_or_init(build)
 }
 
-fn build() -> Option<PathBuf> {
-    let target = format!("{}-unknown-linux-musl", std::env::consts::ARCH);
+fn build() -> PathBuf {
+    let linux = |library| format!("{}-unknown-linux-{library}", std::env::consts::ARCH);
+    let musl = linux("musl");
     let mut libraries = Command::new("rustc");
-    let libraries = libraries.args(["--print", "target-libdir", "--target", &target]);
-    if !Path::new(&output(libraries)).exists() {
-        left_out(&format!("Rust's library for {target}: rustup target add {target}"));
-        return None;
-    }
+    let has_musl =
+        Path::new(&output(libraries.args(["--print", "target-libdir", "--target", &musl])))
+            .exists();
+    // Where Rust's part of musl cannot be had, the machine's own C library does, put in whole.
+    let (target, flags) =
+        if has_musl { (musl, "") } else { (linux("gnu"), "-C target-feature=+crt-static") };
     // Always the same place, and files as old as they are: cargo knows what it has built.
     let temporary = Path::new(env!("CARGO_TARGET_TMPDIR"));
     let context = temporary.join("container");
@@ -148,6 +150,6 @@ fn build() -> Option<PathBuf> {
     let all = temporary.parent().unwrap();
     let mut cargo = Command::new(env!("CARGO"));
     cargo.args(["build", "--profile", "dist", "--locked", "--target", &target, "--target-dir"]);
-    output(cargo.arg(all).current_dir(&context));
-    Some(all.join(target).join("dist/pnet-nat"))
+    output(cargo.arg(all).current_dir(&context).env("RUSTFLAGS", flags));
+    all.join(target).join("dist/pnet-nat")
 }
