@@ -358,8 +358,8 @@ impl Traffic {
             request: DirectionState::of(totals, Direction::Request),
             response: DirectionState::of(totals, Direction::Response),
             response_time_mean_seconds: times.mean().map(|mean| mean.as_secs_f64()),
-            response_time_median_seconds: times.quantile(0.5),
-            response_time_p99_seconds: times.quantile(0.99),
+            response_time_median_seconds: times.quantile(0.5).map(|median| median.as_secs_f64()),
+            response_time_p99_seconds: times.quantile(0.99).map(|p99| p99.as_secs_f64()),
             response_time_buckets: times.buckets,
         }
     }

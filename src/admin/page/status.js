@@ -153,7 +153,7 @@ class Tile {
         this.plot.append(this.#paths[i]);
       }
       this.most = make("span");
-      const axis = make("p", { class: "axis" }, "5 min ago", this.most, "now");
+      const axis = make("p", { class: "axis" }, "−5 min", this.most, "now");
       tile.append(this.plot, axis);
     }
     $("tiles").append(tile);
@@ -181,14 +181,14 @@ class Tile {
       };
       path.setAttribute("d", this.#points.map(draw).join(""));
     }
-    write(this.most, most ? `at most ${this.unit(most)}` : "");
+    write(this.most, most ? `max ${this.unit(most)}` : "");
     const label = `${this.title} of the last 5 minutes: at most ${this.unit(most)}`;
     if (this.plot.getAttribute("aria-label") !== label) this.plot.setAttribute("aria-label", label);
   }
 }
 
 const TILES = {
-  nodes: new Tile("Nodes"),
+  nodes: new Tile("Nodes that answer", { lines: 1 }),
   requests: new Tile("Requests passed on", { lines: 1, unit: rate }),
   times: new Tile("Response time", { lines: 2, unit: duration }),
   flows: new Tile("Flows", { lines: 1 }),
@@ -276,11 +276,14 @@ class NetView {
 
   constructor(net, open) {
     this.name = net.name;
-    this.state = make("span");
+    this.states = new Map();
+    for (const state of Object.keys(STATES)) {
+      this.states.set(state, make("span", { class: state }));
+    }
     const figures = () => make("span", { class: "figure" });
     this.figures = [figures(), figures(), figures(), figures()];
     const name = make("b", {}, net.name);
-    this.summary = make("summary", {}, name, this.state, ...this.figures);
+    this.summary = make("summary", {}, name, ...this.states.values(), ...this.figures);
     this.body = make("tbody");
     const columns = [
       ["Node", ""], ["State", ""], ["Requests", "number"], ["Answers", "number wide"],
@@ -305,11 +308,11 @@ class NetView {
     this.traffic.add(time, net);
     const silent = net.silent_nodes.length;
     const counts = { answering: net.answering_nodes, silent, never_asked: net.never_asked_nodes };
-    const words = Object.entries(counts).filter(([, count]) => count)
-      .map(([state, count]) => `${STATES[state][0]} ${whole.format(count)} ${STATES[state][1]}`);
-    write(this.state, words.join("  "));
-    const worst = silent ? "silent" : net.answering_nodes ? "answering" : "never_asked";
-    if (this.state.className !== worst) this.state.className = worst;
+    for (const [state, count] of Object.entries(counts)) {
+      const [mark, word] = STATES[state];
+      this.states.get(state).hidden = count === 0;
+      write(this.states.get(state), `${mark} ${whole.format(count)} ${word}`);
+    }
     const [median, p99] = [this.traffic.quantile(0.5), this.traffic.quantile(0.99)];
     const texts = [
       `${rate(this.traffic.requests)} requests`,
@@ -396,8 +399,9 @@ function showTiles(time, status, states, dropped) {
   const answering = sum((net) => net.answering_nodes);
   const silent = sum((net) => net.silent_nodes.length);
   const never = sum((net) => net.never_asked_nodes);
-  TILES.nodes.show(`${whole.format(answering)} of ${whole.format(status.public_ports)} answer`,
+  TILES.nodes.show(`${whole.format(answering)} of ${whole.format(status.public_ports)}`,
     `${whole.format(silent)} silent, ${whole.format(never)} never asked`);
+  TILES.nodes.add(time, answering);
 
   const direction = (name) => ({
     forwarded_datagrams: sum((net) => net[name].forwarded_datagrams),
@@ -428,6 +432,13 @@ function showTiles(time, status, states, dropped) {
 }
 
 function showDrops(time, dropped, kernel) {
+  const rates = new Map();
+  for (const reason of Object.keys(reasons)) rates.set(reason, dropped[reason] ?? 0);
+  for (const [cause, count] of Object.entries(kernel)) rates.set(`kernel: ${cause}`, count);
+  for (const [reason, count] of rates) {
+    if (!REASON_RATES.has(reason)) REASON_RATES.set(reason, new Rate());
+    rates.set(reason, REASON_RATES.get(reason).add(time, count));
+  }
   const rows = [
     ...Object.entries(dropped).map(([reason, count]) => [reason, count, reasons[reason]]),
     ...Object.entries(kernel).filter(([, count]) => count)
@@ -442,11 +453,10 @@ function showDrops(time, dropped, kernel) {
       body.append(make("tr", {}, make("th", { scope: "row" }, make("code")),
         make("td", { class: "number" }), make("td", { class: "number" }), make("td")));
     }
-    if (!REASON_RATES.has(reason)) REASON_RATES.set(reason, new Rate());
     const [name, sum, perSecond, meaning] = body.rows[i].cells;
     write(name.firstChild, reason);
     write(sum, whole.format(count));
-    write(perSecond, rate(REASON_RATES.get(reason).add(time, count)));
+    write(perSecond, rate(rates.get(reason)));
     write(meaning, (why ?? "").replaceAll("`", ""));
   }
 }
@@ -461,7 +471,7 @@ function showRelay(status) {
     ["Relaying", status.ready ? "yes" : "no: it starts or stops"],
     ["Last reload", `${reload.successful ? "successful" : "failed"}; ${inForce}`],
     ["Confinement", `${on} of ${sandbox.length} layers on: ${layers.join(", ")}`],
-    ["Size", `${whole.format(status.public_ports)} public ports, ${whole.format(status.workers)} workers`],
+    ["Size", `${whole.format(status.public_ports)} public ports, ${whole.format(status.workers)} ${status.workers === 1 ? "worker" : "workers"}`],
     ["Stray answers",
       `${whole.format(status.stray_responses.received_datagrams)} datagrams from the plant belong to no node of the table`],
   ];
