@@ -1,7 +1,8 @@
 //! Who is answered: holders of the token, and where there is none, whoever is not a web page of
 //! somebody else's.
 //!
-//! Probes are always answered: they tell nothing, and nobody hands a probe a token.
+//! Probes are always answered: they tell nothing, and nobody hands a probe a token. Nor does a browser
+//! send one with a page, so the status page comes without; it asks its reader for the token.
 
 use axum::extract::{Request, State};
 use axum::http::header::{
@@ -13,7 +14,7 @@ use axum::http::{HeaderMap, HeaderValue, Method, StatusCode};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 
-use super::Shared;
+use super::{Shared, page};
 use crate::config::Admin;
 
 /// Said with every answer: a page from here loads and is shown nowhere but here, and nothing of it
@@ -77,11 +78,13 @@ impl IntoResponse for Refusal {
 
 fn admit(admin: &Admin, request: &Request) -> Result<(), Refusal> {
     let path = request.uri().path();
-    let open = matches!(path, "/-/healthy" | "/-/ready")
-        || (path == "/metrics" && admin.metrics_without_token);
+    let probe = matches!(path, "/-/healthy" | "/-/ready");
     let Some(token) = &admin.token else {
+        let open = probe || (path == "/metrics" && admin.metrics_without_token);
         return if open { Ok(()) } else { refuse_other_sites(request.method(), request.headers()) };
     };
+    let open =
+        probe || page::PATHS.contains(&path) || (path == "/metrics" && admin.metrics_without_token);
     let has_token = |value: &HeaderValue| {
         let (scheme, given) = value.as_bytes().split_at_checked("Bearer ".len())?;
         (scheme.eq_ignore_ascii_case(b"Bearer ") && token.matches(given)).then_some(())
@@ -137,7 +140,7 @@ mod tests {
     #[test]
     fn with_a_token_all_but_probes_need_it() {
         let admin = admin(Some(TOKEN), false);
-        for path in ["/", "/metrics", "/api/v1/flows", "/none", "/-/ready/", "/-/reload"] {
+        for path in ["/status", "/metrics", "/api/v1/flows", "/none", "/-/ready/", "/-/reload"] {
             for method in ["GET", "POST", "DELETE"] {
                 let ask = |value: &str| ask(&admin, method, path, &[("authorization", value)]);
                 assert_eq!(ask("Bearer 0123456789abcdef"), None);
@@ -151,7 +154,7 @@ mod tests {
             }
             assert_eq!(super::tests::ask(&admin, "GET", path, &[]), Some(Refusal::Token));
         }
-        for path in ["/-/healthy", "/-/ready"] {
+        for path in ["/-/healthy", "/-/ready", "/", "/status.js", "/status.css", "/status.svg"] {
             assert_eq!(ask(&admin, "GET", path, &[("host", "relay.example")]), None);
         }
     }

@@ -5,6 +5,7 @@
 use std::collections::BTreeMap;
 use std::iter;
 use std::net::{IpAddr, SocketAddr};
+use std::sync::Arc;
 use std::time::Instant;
 
 use axum::Json;
@@ -15,15 +16,15 @@ use axum::http::header::CONTENT_TYPE;
 use axum::response::{IntoResponse, Response};
 use futures_util::stream;
 use ipnet::IpNet;
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Serialize, Serializer};
 
 use super::Shared;
 use crate::config::Config;
-use crate::metrics::totals::{DirectionTotals, NetTotals, NodeTotals};
+use crate::metrics::totals::{self, DirectionTotals, NetTotals, NodeTotals, Presence};
 use crate::net::InForce;
 use crate::relay::{
     CloseReason, Credential, Direction, FlowRecord, Mapping, MappingId, Net, NetId, NetKind,
-    RequestRate, Table,
+    RESPONSE_BUCKETS, RequestRate, SourceSketch, Table,
 };
 use crate::sandbox::{self, Layer};
 
@@ -35,12 +36,39 @@ pub(super) async fn status(State(shared): State<Shared>) -> Response {
     Json(Status::of(&shared)).into_response()
 }
 
-/// `GET /api/v1/nets`
-pub(super) async fn nets(State(shared): State<Shared>) -> Response {
+/// `GET /api/v1/drop-reasons`
+pub(super) async fn drop_reasons() -> Response {
+    let reasons = Direction::ALL.iter().flat_map(|direction| direction.drop_reasons());
+    let reasons = reasons.map(|reason| (reason.label(), reason.explanation()));
+    Json(reasons.collect::<BTreeMap<_, _>>()).into_response()
+}
+
+/// Query of [`nets`].
+#[derive(Deserialize)]
+pub(super) struct NetsQuery {
+    /// This one only.
+    net: Option<String>,
+    /// false: nets without their list of nodes, which is most of the answer.
+    nodes: Option<bool>,
+}
+
+/// `GET /api/v1/nets?net=&nodes=`
+pub(super) async fn nets(State(shared): State<Shared>, Query(query): Query<NetsQuery>) -> Response {
     let (started, in_force) = (shared.router.started(), shared.router.in_force());
-    let nets = in_force.config.table.net_ids();
-    let net = move |net| serde_json::to_string(&NetState::of(&in_force, started, net));
-    json_list("nets", nets.map(net))
+    let table = Arc::clone(&in_force.config.table);
+    let is_asked_for =
+        |id: &NetId| query.net.as_ref().is_none_or(|name| table.net(*id).name == *name);
+    let nets: Vec<NetId> = table.net_ids().filter(is_asked_for).collect();
+    if query.net.is_some() && nets.is_empty() {
+        return (StatusCode::NOT_FOUND, "no net has this name\n").into_response();
+    }
+    let with_nodes = query.nodes.unwrap_or(true);
+    let net = move |net| {
+        let mut net = NetState::of(&in_force, started, net);
+        net.nodes = net.nodes.filter(|_| with_nodes);
+        serde_json::to_string(&net)
+    };
+    json_list("nets", nets.into_iter().map(net))
 }
 
 /// Query of [`flows`].
@@ -91,13 +119,33 @@ fn json_list(
     ([(CONTENT_TYPE, "application/json")], Body::from_stream(stream::iter(chunks))).into_response()
 }
 
-/// The process.
+/// The process, and what belongs to no net.
 #[derive(Serialize)]
 struct Status<'a> {
     version: &'static str,
     ready: bool,
     uptime_seconds: f64,
+    reload: ReloadState,
+    workers: usize,
+    public_ports: usize,
+    max_flows: u32,
+    /// About how many addresses have sent wrong passwords since the start.
+    wrong_password_sources: u32,
+    /// The estimate goes no further than this.
+    wrong_password_sources_at_most: u32,
+    /// From the plant, of no server of the table.
+    stray_responses: DirectionState,
+    /// Upper bounds of `response_time_buckets`; one more bucket takes the rest.
+    response_time_bounds_seconds: [f64; RESPONSE_BUCKETS.len()],
     sandbox: Vec<LayerState<'a>>,
+}
+
+#[derive(Serialize)]
+struct ReloadState {
+    /// False: the configuration that was last read has a fault, and the one before it is in force.
+    successful: bool,
+    /// Since the configuration in force came into force.
+    in_force_seconds: f64,
 }
 
 #[derive(Serialize)]
@@ -115,10 +163,26 @@ impl<'a> Status<'a> {
             state: state.label(),
             why: state.why(),
         };
+        let (in_force, last_reload) = (shared.router.in_force(), shared.router.last_reload());
+        let Config { table, limits, .. } = &in_force.config;
         Self {
             version: env!("CARGO_PKG_VERSION"),
             ready: shared.router.is_ready(),
             uptime_seconds: shared.router.started().elapsed().as_secs_f64(),
+            reload: ReloadState {
+                successful: last_reload.successful,
+                in_force_seconds: last_reload.success_at.elapsed().as_secs_f64(),
+            },
+            workers: in_force.counters.len(),
+            public_ports: table.mappings().len(),
+            max_flows: limits.max_flows,
+            wrong_password_sources: totals::wrong_password_sources(&in_force.counters, table),
+            wrong_password_sources_at_most: SourceSketch::MOST,
+            stray_responses: DirectionState::of(
+                &NodeTotals::of_strays(&in_force.counters),
+                Direction::Response,
+            ),
+            response_time_bounds_seconds: RESPONSE_BUCKETS,
             sandbox: shared.sandbox.layers().map(state).collect(),
         }
     }
@@ -205,7 +269,18 @@ struct NetState<'a> {
     /// By credential.
     accepted_requests: BTreeMap<&'a str, u64>,
     kernel_dropped_datagrams: BTreeMap<&'static str, u64>,
-    nodes: Vec<NodeState>,
+    /// About how many addresses have sent wrong passwords since the start.
+    wrong_password_sources: u32,
+    answering_nodes: usize,
+    /// Their node addresses.
+    silent_nodes: Vec<u8>,
+    never_asked_nodes: usize,
+    /// Of all nodes together.
+    #[serde(flatten)]
+    traffic: Traffic,
+    /// Absent when not asked for.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    nodes: Option<Vec<NodeState>>,
 }
 
 impl<'a> NetState<'a> {
@@ -214,6 +289,9 @@ impl<'a> NetState<'a> {
         let net = table.net(id);
         let totals = NetTotals::of_net(&in_force.counters, table, id);
         let node = |mapping| NodeState::of(in_force, started, mapping);
+        let nodes: Vec<_> = table.mappings_of(id).map(node).collect();
+        let count = |state: Presence| nodes.iter().filter(|node| node.presence == state).count();
+        let silent = nodes.iter().filter(|node| node.presence == Presence::Silent);
         let closed = |reason: CloseReason| (reason.label(), totals.flows_closed(reason));
         let credentials = net.credentials.iter().map(|credential| credential.name.as_str());
         Self {
@@ -224,7 +302,12 @@ impl<'a> NetState<'a> {
             flows_closed: CloseReason::ALL.into_iter().map(closed).collect(),
             accepted_requests: credentials.zip(totals.accepted.iter().copied()).collect(),
             kernel_dropped_datagrams: in_force.kernel_drops(id).by_cause().into(),
-            nodes: table.mappings_of(id).map(node).collect(),
+            wrong_password_sources: totals.wrong_password_sources,
+            answering_nodes: count(Presence::Answering),
+            silent_nodes: silent.map(|node| node.element.node).collect(),
+            never_asked_nodes: count(Presence::NeverAsked),
+            traffic: Traffic::of(&NodeTotals::of_net(&in_force.counters, table, id)),
+            nodes: Some(nodes),
         }
     }
 }
@@ -242,23 +325,57 @@ fn subnet(table: &Table, id: NetId) -> Option<IpNet> {
 struct NodeState {
     #[serde(flatten)]
     element: Element,
-    request: DirectionState,
-    response: DirectionState,
+    #[serde(rename = "state", serialize_with = "label")]
+    presence: Presence,
+    #[serde(flatten)]
+    traffic: Traffic,
+    /// Since the last request that wants an answer; null: never.
+    last_request_age_seconds: Option<f64>,
     /// Since the last response; null: never.
     last_response_age_seconds: Option<f64>,
+}
+
+fn label<S: Serializer>(presence: &Presence, serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.serialize_str(presence.label())
+}
+
+/// Datagrams, and how long answers took, since the start.
+#[derive(Serialize)]
+struct Traffic {
+    request: DirectionState,
+    response: DirectionState,
     response_time_mean_seconds: Option<f64>,
+    response_time_median_seconds: Option<f64>,
+    response_time_p99_seconds: Option<f64>,
+    /// How many answers fell into each bucket alone.
+    response_time_buckets: [u64; RESPONSE_BUCKETS.len() + 1],
+}
+
+impl Traffic {
+    fn of(totals: &NodeTotals) -> Self {
+        let times = &totals.response_times;
+        Self {
+            request: DirectionState::of(totals, Direction::Request),
+            response: DirectionState::of(totals, Direction::Response),
+            response_time_mean_seconds: times.mean().map(|mean| mean.as_secs_f64()),
+            response_time_median_seconds: times.quantile(0.5).map(|median| median.as_secs_f64()),
+            response_time_p99_seconds: times.quantile(0.99).map(|p99| p99.as_secs_f64()),
+            response_time_buckets: times.buckets,
+        }
+    }
 }
 
 impl NodeState {
     fn of(in_force: &InForce, started: Instant, mapping: MappingId) -> Self {
         let totals = NodeTotals::of_node(&in_force.counters, mapping);
-        let age = |last| started.elapsed().saturating_sub(last).as_secs_f64();
+        let now = started.elapsed();
+        let age = |last| now.saturating_sub(last).as_secs_f64();
         Self {
             element: Element::of(in_force.config.table.mapping(mapping)),
-            request: DirectionState::of(&totals, Direction::Request),
-            response: DirectionState::of(&totals, Direction::Response),
+            presence: totals.presence(now),
+            traffic: Traffic::of(&totals),
+            last_request_age_seconds: totals.last_request.map(age),
             last_response_age_seconds: totals.last_response.map(age),
-            response_time_mean_seconds: totals.response_times.mean().map(|d| d.as_secs_f64()),
         }
     }
 }

@@ -7,6 +7,7 @@
 mod access;
 mod api;
 mod connections;
+mod page;
 #[cfg(test)]
 mod tests;
 
@@ -22,7 +23,7 @@ use axum::extract::State;
 use axum::http::StatusCode;
 use axum::http::header::CONTENT_TYPE;
 use axum::middleware;
-use axum::response::{Html, IntoResponse, Response};
+use axum::response::{IntoResponse, Response};
 use axum::routing::{get, post};
 use futures_util::stream;
 use hyper::server::conn::http1;
@@ -53,13 +54,15 @@ const GRACE: Duration = Duration::from_secs(1);
 const ACCEPT_PAUSE: Duration = Duration::from_secs(1);
 
 /// What there is, and what it is for.
-const ROUTES: [(&str, &str); 8] = [
+const ROUTES: [(&str, &str); 10] = [
+    ("/", "the status page, for browsers"),
     ("/metrics", "for Prometheus"),
     ("/-/healthy", "200 as long as the process runs"),
     ("/-/ready", "200 while it relays, 503 before and after"),
     ("/-/reload", "POST: reads the configuration again, where [admin] reload allows it"),
-    ("/api/v1/status", "version, readiness and confinement"),
-    ("/api/v1/nets", "nets and nodes with their counters"),
+    ("/api/v1/status", "version, readiness, reload and confinement"),
+    ("/api/v1/nets", "nets and nodes with their counters; ?nodes=false&net=NAME for less"),
+    ("/api/v1/drop-reasons", "why datagrams are dropped, in plain words"),
     ("/api/v1/flows?limit=1000", "open flows"),
     ("/api/v1/config", "the configuration in force, without passwords"),
 ];
@@ -107,13 +110,17 @@ pub fn routes(
     let metrics = Metrics::new(router.clone(), sandbox.clone());
     let shared = Shared { router, reloader, sandbox, metrics, flows_turn: Arc::default() };
     axum::Router::new()
-        .route("/", get(index))
+        .route("/", get(page::html))
+        .route("/status.js", get(page::script))
+        .route("/status.css", get(page::style))
+        .route("/status.svg", get(page::icon))
         .route("/metrics", get(scrape))
         .route("/-/healthy", get("healthy\n"))
         .route("/-/ready", get(ready))
         .route("/-/reload", post(reload))
         .route("/api/v1/status", get(api::status))
         .route("/api/v1/nets", get(api::nets))
+        .route("/api/v1/drop-reasons", get(api::drop_reasons))
         .route("/api/v1/flows", get(api::flows))
         .route("/api/v1/config", get(api::config))
         .fallback(not_found)
@@ -173,14 +180,6 @@ async fn reload(State(shared): State<Shared>) -> Response {
         Ok(changes) => Json(changes).into_response(),
         Err(faults) => (StatusCode::UNPROCESSABLE_ENTITY, faults + "\n").into_response(),
     }
-}
-
-async fn index() -> Html<String> {
-    let link = |(path, what)| format!("<li><a href=\"{path}\">{path}</a>: {what}\n");
-    let links: String = ROUTES.into_iter().map(link).collect();
-    Html(format!(
-        "<!doctype html>\n<html lang=\"en\"><title>pnet-nat</title>\n<h1>pnet-nat</h1>\n<ul>\n{links}</ul>\n"
-    ))
 }
 
 async fn not_found() -> Response {

@@ -103,10 +103,8 @@ fn routes_answer_and_others_name_them() {
     assert_eq!((ready.status, ready.text.as_str()), (503, "not ready\n"));
     let lost = server.get("/api/v2/nets");
     assert_eq!(lost.status, 404);
-    let index = server.get("/");
-    assert_eq!(index.status, 200);
     for (path, _) in ROUTES {
-        assert!(lost.text.contains(path) && index.text.contains(path), "{path}");
+        assert!(lost.text.contains(path), "{path}");
         assert_ne!(server.get(path).status, 404, "{path}");
         assert_eq!(server.ask("DELETE", path).status, 405, "{path}");
     }
@@ -159,7 +157,10 @@ fn nets_show_what_was_counted() {
         node.direction(Direction::Request).forwarded_bytes.add(80);
         node.direction(Direction::Request).dropped(DropReason::Throttled).add(1);
         node.response_times.observe(Duration::from_millis(4));
+        node.last_request.set(1);
         node.last_response.set(1);
+        worker.net(SECTION).wrong_password_sources.note(7);
+        worker.net(SECTION).wrong_password_sources.note(1 << 40);
         worker.net(SECTION).flows.add(3);
         worker.net(SECTION).flows_opened.add(3);
         worker.net(SECTION).accepted[0].add(4);
@@ -167,8 +168,10 @@ fn nets_show_what_was_counted() {
     let nets = Server::start(router).get("/api/v1/nets").json();
     let mut section = nets["nets"][0].clone();
     let mut nodes = section["nodes"].take();
-    let age = nodes[0]["last_response_age_seconds"].take().as_f64().unwrap();
-    assert!(age > 0.0 && age < 60.0, "{age}");
+    for age in ["last_request_age_seconds", "last_response_age_seconds"] {
+        let age = nodes[0][age].take().as_f64().unwrap();
+        assert!(age > 0.0 && age < 60.0, "{age}");
+    }
     assert_eq!(
         section,
         json!({
@@ -187,6 +190,19 @@ fn nets_show_what_was_counted() {
             },
             "accepted_requests": { "service": 8, "team-b": 0 },
             "kernel_dropped_datagrams": { "overflow": 0, "prefilter": 0 }, "nodes": null,
+            "wrong_password_sources": 2,
+            "answering_nodes": 1, "silent_nodes": [], "never_asked_nodes": 1,
+            "request": {
+                "received_datagrams": 10, "forwarded_datagrams": 8, "forwarded_bytes": 160,
+                "dropped_datagrams": { "throttled": 2 },
+            },
+            "response": {
+                "received_datagrams": 0, "forwarded_datagrams": 0, "forwarded_bytes": 0,
+                "dropped_datagrams": {},
+            },
+            "response_time_mean_seconds": 0.004, "response_time_median_seconds": 0.0035,
+            "response_time_p99_seconds": 0.00497,
+            "response_time_buckets": [0, 0, 0, 0, 2, 0, 0, 0, 0, 0, 0],
         })
     );
     let nothing = json!({
@@ -202,19 +218,62 @@ fn nets_show_what_was_counted() {
                     "received_datagrams": 10, "forwarded_datagrams": 8, "forwarded_bytes": 160,
                     "dropped_datagrams": { "throttled": 2 },
                 },
-                "response": nothing,
-                "last_response_age_seconds": null, "response_time_mean_seconds": 0.004,
+                "response": nothing, "state": "answering",
+                "last_request_age_seconds": null, "last_response_age_seconds": null,
+                "response_time_mean_seconds": 0.004, "response_time_median_seconds": 0.0035,
+                "response_time_p99_seconds": 0.00497,
+                "response_time_buckets": [0, 0, 0, 0, 2, 0, 0, 0, 0, 0, 0],
             },
             {
                 "node": 33, "public_port": 40033, "server": "172.17.17.33:34379",
-                "request": nothing, "response": nothing,
-                "last_response_age_seconds": null, "response_time_mean_seconds": null,
+                "request": nothing, "response": nothing, "state": "never_asked",
+                "last_request_age_seconds": null, "last_response_age_seconds": null,
+                "response_time_mean_seconds": null, "response_time_median_seconds": null,
+                "response_time_p99_seconds": null,
+                "response_time_buckets": [0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0],
             },
         ])
     );
     let press = &nets["nets"][1];
     assert_eq!((&press["kind"], &press["subnet"]), (&json!("server"), &json!(null)));
     assert_eq!(press["nodes"][0]["node"], 7);
+}
+
+#[test]
+fn nets_come_one_by_one_and_without_nodes_when_so_asked() {
+    let server = Server::start(Router::idle(config(), 1));
+    let one = server.get("/api/v1/nets?net=press").json();
+    assert_eq!(one["nets"].as_array().unwrap().len(), 1);
+    assert_eq!(one["nets"][0]["nodes"][0]["node"], 7);
+    let summary = server.get("/api/v1/nets?nodes=false").json();
+    for net in summary["nets"].as_array().unwrap() {
+        assert!(net.get("nodes").is_none() && net["never_asked_nodes"].as_u64() > Some(0), "{net}");
+    }
+    assert_eq!(server.get("/api/v1/nets?net=none").status, 404);
+    assert_eq!(server.get("/api/v1/nets?nodes=maybe").status, 400);
+}
+
+#[test]
+fn the_page_has_its_files_and_names_no_other_site() {
+    let server = Server::start(Router::idle(config(), 1));
+    for (path, content_type) in [
+        ("/", "text/html; charset=utf-8"),
+        ("/status.js", "text/javascript; charset=utf-8"),
+        ("/status.css", "text/css; charset=utf-8"),
+        ("/status.svg", "image/svg+xml"),
+    ] {
+        let file = server.get(path);
+        assert_eq!((file.status, file.content_type.as_str()), (200, content_type), "{path}");
+        let text = file.text.replace("http://www.w3.org/2000/svg", "");
+        assert!(!text.contains("//www") && !text.contains("http:") && !text.contains("https:"));
+    }
+}
+
+#[test]
+fn drop_reasons_are_explained() {
+    let reasons = Server::start(Router::idle(config(), 1)).get("/api/v1/drop-reasons").json();
+    assert_eq!(reasons.as_object().unwrap().len(), DropReason::COUNT);
+    assert_eq!(reasons["password_wrong"], DropReason::PasswordWrong.explanation());
 }
 
 #[test]
@@ -235,7 +294,7 @@ fn flows_and_configuration_have_their_shape() {
 #[test]
 fn no_answer_holds_a_password_in_any_writing() {
     let server = Server::start(Router::idle(config(), 1));
-    for (path, _) in ROUTES.into_iter().chain([("/", ""), ("/none", "")]) {
+    for (path, _) in ROUTES.into_iter().chain([("/none", "")]) {
         let text = server.get(path).text.to_lowercase();
         for written in PASSWORDS.iter().flat_map(writings) {
             assert!(!text.contains(&written), "{path} shows {written}");
@@ -372,9 +431,9 @@ fn a_token_is_asked_for_when_there_is_one() {
     let token = Some(Token::new(b"0123456789abcdef").unwrap());
     config.admin = Some(Admin { token, ..config.admin.unwrap() });
     let server = Server::start(Router::idle(config, 1));
-    for (path, _) in ROUTES.into_iter().chain([("/", ""), ("/none", "")]) {
+    for (path, _) in ROUTES.into_iter().chain([("/none", "")]) {
         let refused = server.get(path);
-        if ["/-/healthy", "/-/ready"].contains(&path) {
+        if ["/-/healthy", "/-/ready", "/"].contains(&path) {
             assert_ne!(refused.status, 401, "{path}");
             continue;
         }
@@ -392,6 +451,9 @@ fn status_tells_how_the_process_is_confined() {
     let status = server.get("/api/v1/status").json();
     assert_eq!(status["version"], env!("CARGO_PKG_VERSION"));
     assert_eq!(status["ready"], false);
+    assert_eq!(status["reload"]["successful"], true);
+    assert_eq!(status["public_ports"], 3);
+    assert_eq!(status["stray_responses"]["received_datagrams"], 0);
     assert!(status["uptime_seconds"].as_f64().unwrap() >= 0.0);
     let layers = ["memory", "no_new_privs", "capabilities", "landlock", "seccomp"];
     let off = layers.map(|layer| json!({ "layer": layer, "state": "off", "why": null }));

@@ -12,6 +12,7 @@ mod output;
 mod request;
 mod run;
 mod signals;
+mod status;
 
 use std::io::{self, Write};
 use std::path::Path;
@@ -65,6 +66,7 @@ enum Command {
     Node(node::Args),
     Request(request::Args),
     Decode(decode::Args),
+    Status(status::Args),
     Healthcheck(healthcheck::Args),
     Completions(documentation::Completions),
     Man(documentation::Man),
@@ -91,6 +93,7 @@ pub fn main() -> ExitCode {
         Command::Node(args) => node::run(args),
         Command::Request(args) => request::run(args),
         Command::Decode(args) => decode::run(args),
+        Command::Status(args) => status::run(args),
         Command::Healthcheck(args) => healthcheck::run(args),
         Command::Completions(args) => documentation::completions(&args),
         Command::Man(args) => documentation::man(&args),

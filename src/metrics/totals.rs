@@ -9,7 +9,7 @@ use std::time::Duration;
 
 use crate::relay::{
     CloseReason, Counter, Counters, Direction, DirectionCounters, DropReason, MappingId, NetId,
-    NodeCounters, RESPONSE_BUCKETS, Table,
+    NodeCounters, RESPONSE_BUCKETS, SourceSketch, Table,
 };
 
 /// Datagrams of one direction.
@@ -60,6 +60,23 @@ impl ResponseTotals {
         self.buckets.iter().sum()
     }
 
+    /// The time that this share of the answers took at most, 0 to 1; none before the first. As
+    /// Prometheus has it: on a straight line between the bounds of a bucket, and the highest bound
+    /// for what is beyond all.
+    pub fn quantile(&self, share: f64) -> Option<Duration> {
+        let rank = share * self.count() as f64;
+        let (mut below, mut lower) = (0.0, 0.0);
+        for (&count, upper) in self.buckets.iter().zip(RESPONSE_BUCKETS) {
+            let count = count as f64;
+            if count > 0.0 && below + count >= rank {
+                let seconds = lower + (upper - lower) * (rank - below) / count;
+                return Some(Duration::from_secs_f64(seconds));
+            }
+            (below, lower) = (below + count, upper);
+        }
+        (self.count() > 0).then(|| Duration::from_secs_f64(lower))
+    }
+
     /// The mean time; none before the first.
     pub fn mean(&self) -> Option<Duration> {
         let seconds = self.sum.as_secs_f64() / self.count() as f64;
@@ -75,6 +92,35 @@ pub struct NodeTotals {
     pub response_times: ResponseTotals,
     /// When the last response was forwarded, from the router's start; none: never.
     pub last_response: Option<Duration>,
+    /// When the last request that wants an answer was accepted, likewise.
+    pub last_request: Option<Duration>,
+    /// When the first such request was accepted that no response followed; none: none waits.
+    unanswered_since: Option<Duration>,
+}
+
+/// Whether a server node is there, as far as its answers tell.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Presence {
+    /// It answered when it was asked last.
+    Answering,
+    /// It was asked, and has not answered anybody for [`SILENCE`](Self::SILENCE).
+    Silent,
+    /// Nobody has asked it for an answer since the start.
+    NeverAsked,
+}
+
+impl Presence {
+    /// How long a node may keep everybody waiting before it is called silent.
+    pub const SILENCE: Duration = Duration::from_secs(5);
+
+    /// Its name in the API.
+    pub fn label(self) -> &'static str {
+        match self {
+            Self::Answering => "answering",
+            Self::Silent => "silent",
+            Self::NeverAsked => "never_asked",
+        }
+    }
 }
 
 impl NodeTotals {
@@ -103,6 +149,16 @@ impl NodeTotals {
         &self.directions[direction as usize]
     }
 
+    /// Whether the node is there, at a time from the router's start.
+    pub fn presence(&self, now: Duration) -> Presence {
+        let Some(asked) = self.last_request else { return Presence::NeverAsked };
+        let waiting = self.unanswered_since.filter(|_| self.last_response < Some(asked));
+        // Another worker may have passed on a response since.
+        let waiting = waiting
+            .map(|since| now.saturating_sub(since.max(self.last_response.unwrap_or_default())));
+        if waiting > Some(Presence::SILENCE) { Presence::Silent } else { Presence::Answering }
+    }
+
     fn sum<'a>(nodes: impl Iterator<Item = &'a NodeCounters>) -> Self {
         let mut totals = Self::default();
         for node in nodes {
@@ -114,11 +170,25 @@ impl NodeTotals {
                 *sum += bucket;
             }
             times.sum += node.response_times.sum();
-            let last = Some(node.last_response.get()).filter(|&nanos| nanos != 0);
-            totals.last_response = totals.last_response.max(last.map(Duration::from_nanos));
+            totals.last_response = totals.last_response.max(moment(&node.last_response));
+            totals.last_request = totals.last_request.max(moment(&node.last_request));
+            let since = moment(&node.unanswered_since);
+            totals.unanswered_since = totals.unanswered_since.into_iter().chain(since).min();
         }
         totals
     }
+}
+
+/// About how many addresses have sent wrong passwords to any net, up to [`SourceSketch::MOST`].
+pub fn wrong_password_sources(workers: &[Arc<Counters>], table: &Table) -> u32 {
+    let of_worker =
+        |worker| table.net_ids().map(move |net| &Counters::net(worker, net).wrong_password_sources);
+    SourceSketch::estimate(workers.iter().flat_map(|worker| of_worker(&**worker)))
+}
+
+/// A time from the router's start, of which 0 stands for never.
+fn moment(nanos: &Counter) -> Option<Duration> {
+    Some(nanos.get()).filter(|&nanos| nanos != 0).map(Duration::from_nanos)
 }
 
 /// What is counted for a net beside its nodes.
@@ -131,6 +201,8 @@ pub struct NetTotals {
     flows_closed: [u64; CloseReason::ALL.len()],
     /// Requests accepted, by the net's credentials in their order.
     pub accepted: Vec<u64>,
+    /// About how many addresses have sent wrong passwords, up to [`SourceSketch::MOST`].
+    pub wrong_password_sources: u32,
 }
 
 impl NetTotals {
@@ -146,11 +218,64 @@ impl NetTotals {
             flows_closed: CloseReason::ALL
                 .map(|reason| sum(&|worker| worker.net(net).flows_closed(reason))),
             accepted: credentials.map(|i| sum(&|worker| &worker.net(net).accepted[i])).collect(),
+            wrong_password_sources: SourceSketch::estimate(
+                workers.iter().map(|worker| &worker.net(net).wrong_password_sources),
+            ),
         }
     }
 
     /// Flows that ended for this reason.
     pub fn flows_closed(&self, reason: CloseReason) -> u64 {
         self.flows_closed[reason as usize]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SECOND: u64 = 1_000_000_000;
+
+    /// What two workers have noted: last request, last response, unanswered since; in seconds.
+    fn presence_at(now: u64, workers: [[u64; 3]; 2]) -> Presence {
+        let nodes = workers.map(|[request, response, since]| {
+            let node = NodeCounters::default();
+            node.last_request.set(request * SECOND);
+            node.last_response.set(response * SECOND);
+            node.unanswered_since.set(since * SECOND);
+            node
+        });
+        NodeTotals::sum(nodes.iter()).presence(Duration::from_secs(now))
+    }
+
+    #[test]
+    fn a_node_is_silent_when_it_keeps_everybody_waiting() {
+        use Presence::{Answering, NeverAsked, Silent};
+        const IDLE: [u64; 3] = [0; 3];
+        for (now, workers, expected) in [
+            (99, [IDLE, IDLE], NeverAsked),
+            (12, [[10, 0, 10], IDLE], Answering), // it has some time for its first answer
+            (16, [[10, 0, 10], IDLE], Silent),
+            (99, [[10, 11, 0], IDLE], Answering),  // nobody asks
+            (99, [[98, 50, 98], IDLE], Answering), // asked again after a pause
+            (99, [[98, 50, 51], IDLE], Silent),
+            (99, [[10, 0, 10], [97, 98, 0]], Answering), // one request was lost
+            (99, [[98, 0, 10], [97, 97, 0]], Answering), // it answers others
+            (99, [[98, 0, 10], [90, 91, 0]], Silent),
+        ] {
+            assert_eq!(presence_at(now, workers), expected, "{now}: {workers:?}");
+        }
+    }
+
+    #[test]
+    fn quantiles_lie_between_the_bounds_of_their_bucket() {
+        let mut times = ResponseTotals::default();
+        assert_eq!(times.quantile(0.5), None);
+        times.buckets[4] = 10; // 2 ms to 5 ms
+        assert_eq!(times.quantile(0.5), Some(Duration::from_micros(3500)));
+        times.buckets[RESPONSE_BUCKETS.len()] = 1;
+        assert_eq!(times.quantile(0.99), Some(Duration::from_secs(5)));
+        times.buckets[0] = 89;
+        assert_eq!(times.quantile(0.5), Some(Duration::from_nanos(112_360)));
     }
 }

@@ -110,7 +110,7 @@ impl Core {
         if let Err(reason) = verdict {
             node.dropped(reason).add(1);
             let net = self.counters.net(self.rules.table.mapping(arrival.mapping).net);
-            net.sources(reason).note(SOURCE_HASH.hash_one(arrival.client.ip()));
+            net.note_source(reason, SOURCE_HASH.hash_one(arrival.client.ip()));
         }
         verdict
     }
@@ -284,6 +284,7 @@ impl Core {
         flow.credential = credential;
         if request.confirmed {
             flow.answers.asked(now);
+            self.counters.node(arrival.mapping).asked(now);
         }
         flow.last_used = now;
         if let Some(index) = credential {
@@ -324,7 +325,7 @@ impl Core {
         }
         flow.last_used = now; // N-3
         let node = self.counters.node(flow.mapping);
-        node.last_response.set(now);
+        node.answered(now);
         if let Some(response_time) = flow.answers.came(now) {
             node.response_times.observe(response_time);
         }

@@ -126,6 +126,10 @@ pub struct NodeCounters {
     pub response_times: ResponseTimes,
     /// When the last response was forwarded, as nanoseconds since the router's start; 0: never.
     pub last_response: Counter,
+    /// When the last request that wants an answer was accepted, likewise.
+    pub last_request: Counter,
+    /// When the first such request after the last response was accepted; 0: none waits.
+    pub unanswered_since: Counter,
 }
 
 impl NodeCounters {
@@ -136,6 +140,24 @@ impl NodeCounters {
         copy_all(&self.response_times.buckets, &other.response_times.buckets);
         self.response_times.sum_nanos.copy(&other.response_times.sum_nanos);
         self.last_response.copy(&other.last_response);
+        self.last_request.copy(&other.last_request);
+        self.unanswered_since.copy(&other.unanswered_since);
+    }
+
+    /// Notes a request that wants an answer.
+    #[inline]
+    pub(super) fn asked(&self, now: u64) {
+        self.last_request.set(now);
+        if self.unanswered_since.get() == 0 {
+            self.unanswered_since.set(now);
+        }
+    }
+
+    /// Notes a response.
+    #[inline]
+    pub(super) fn answered(&self, now: u64) {
+        self.last_response.set(now);
+        self.unanswered_since.set(0);
     }
 
     /// The counters of one direction.
@@ -155,9 +177,18 @@ pub struct NetCounters {
     /// Requests accepted, by the net's credentials in their order.
     pub accepted: Box<[Counter]>,
     sources: [SourceSketch; DropReason::COUNT],
+    /// Who sent wrong passwords since the start: hashes as in [`sources`](Self::sources).
+    pub wrong_password_sources: SourceSketch,
 }
 
 impl NetCounters {
+    pub(super) fn note_source(&self, reason: DropReason, hash: u64) {
+        self.sources(reason).note(hash);
+        if reason == DropReason::PasswordWrong {
+            self.wrong_password_sources.note(hash);
+        }
+    }
+
     /// The counter of flows that ended for this reason.
     pub fn flows_closed(&self, reason: CloseReason) -> &Counter {
         &self.flows_closed[reason as usize]
@@ -188,6 +219,7 @@ impl Counters {
             flows_closed: Default::default(),
             accepted: (0..credentials).map(|_| Counter::default()).collect(),
             sources: Default::default(),
+            wrong_password_sources: SourceSketch::default(),
         };
         Self {
             nodes: table.mappings().iter().map(|_| NodeCounters::default()).collect(),
@@ -212,6 +244,7 @@ impl Counters {
             next.flows.copy(&counters.flows);
             next.flows_opened.copy(&counters.flows_opened);
             copy_all(&next.flows_closed, &counters.flows_closed);
+            next.wrong_password_sources.copy(&counters.wrong_password_sources);
             for (credential, next) in net.credentials.iter().zip(&next.accepted) {
                 let same = |old: &Credential| old.name == credential.name;
                 if let Some(index) = old.credentials.iter().position(same) {

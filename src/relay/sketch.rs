@@ -9,7 +9,7 @@ use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 const BITS: u32 = 1024;
 const WORDS: usize = (BITS / u64::BITS) as usize;
 
-/// A bitmap of 1024 bits with one writer, read and cleared by the log.
+/// A bitmap of 1024 bits with one writer; a reader may clear it.
 #[derive(Debug, Default)]
 pub struct SourceSketch([AtomicU64; WORDS]);
 
@@ -29,12 +29,31 @@ impl SourceSketch {
     }
 
     /// About how many different sources these sketches have seen together, 0 to
-    /// [`MOST`](Self::MOST); clears them. A source that two of them saw counts once.
+    /// [`MOST`](Self::MOST). A source that two of them saw counts once.
+    pub fn estimate<'a>(sketches: impl Iterator<Item = &'a Self>) -> u32 {
+        Self::merge(sketches, |word| word.load(Relaxed))
+    }
+
+    /// The same, and clears them.
     pub fn take_estimate<'a>(sketches: impl Iterator<Item = &'a Self>) -> u32 {
+        Self::merge(sketches, |word| word.swap(0, Relaxed))
+    }
+
+    /// Takes over what another has seen.
+    pub(super) fn copy(&self, other: &Self) {
+        for (word, other) in self.0.iter().zip(&other.0) {
+            word.store(other.load(Relaxed), Relaxed);
+        }
+    }
+
+    fn merge<'a>(
+        sketches: impl Iterator<Item = &'a Self>,
+        read: impl Fn(&AtomicU64) -> u64,
+    ) -> u32 {
         let mut merged = [0; WORDS];
         for sketch in sketches {
             for (bits, word) in merged.iter_mut().zip(&sketch.0) {
-                *bits |= word.swap(0, Relaxed);
+                *bits |= read(word);
             }
         }
         let clear: u32 = merged.iter().map(|bits| bits.count_zeros()).sum();
@@ -86,9 +105,15 @@ mod tests {
     }
 
     #[test]
-    fn taking_clears() {
+    fn taking_clears_and_looking_does_not() {
         let sketches = two_workers(300);
-        SourceSketch::take_estimate(sketches.iter());
+        let copy = SourceSketch::default();
+        copy.copy(&sketches[0]);
+        assert_eq!(
+            SourceSketch::estimate([&copy, &sketches[1]].into_iter()),
+            SourceSketch::estimate(sketches.iter())
+        );
+        assert_ne!(SourceSketch::take_estimate(sketches.iter()), 0);
         assert_eq!(SourceSketch::take_estimate(sketches.iter()), 0);
     }
 }

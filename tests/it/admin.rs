@@ -77,11 +77,13 @@ fn a_token_is_asked_for_and_probes_are_not() {
         stream.read_to_string(&mut answer).unwrap();
         answer[9..12].parse::<u16>().unwrap()
     };
-    for path in ["/", "/metrics", "/api/v1/config"] {
+    for path in ["/api/v1/nets", "/metrics", "/api/v1/config"] {
         assert_eq!(ask(path, "accept: */*"), 401, "{path}");
         assert_eq!(ask(path, "authorization: Bearer s3cr3t-0123456789"), 200, "{path}");
     }
-    assert_eq!(ask("/-/healthy", "accept: */*"), 200);
+    for path in ["/-/healthy", "/", "/status.js"] {
+        assert_eq!(ask(path, "accept: */*"), 200, "{path}");
+    }
     let url = format!("http://{}/-/ready", site.admin());
     assert_eq!(Process::start(pnet_nat(&["healthcheck", "--url", &url])).end(), Some(0));
     drop(relay);

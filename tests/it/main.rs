@@ -28,6 +28,8 @@ mod prometheus;
 mod relaying;
 mod reloading;
 mod scale;
+mod status;
+mod status_page;
 mod stopping;
 mod tunnel;
 mod watching;

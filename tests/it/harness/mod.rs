@@ -4,6 +4,7 @@
 //! Whatever is waited for is polled, with one patience for all. Invariant: what was started ends
 //! with its owner, also when the test fails.
 
+mod browser;
 mod capture;
 mod machine;
 mod metrics;
@@ -17,6 +18,7 @@ mod site;
 use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
 use std::time::{Duration, Instant};
 
+pub(crate) use browser::Browser;
 pub(crate) use capture::{Capture, Packet};
 pub(crate) use machine::Machine;
 pub(crate) use metrics::Metrics;

@@ -1,0 +1,28 @@
+//! The status page: three files and an icon, the same for everybody. What it shows it gets from the
+//! API, as its reader may.
+
+use axum::http::header::CONTENT_TYPE;
+use axum::response::{Html, IntoResponse};
+
+/// Where its files are.
+pub(super) const PATHS: [&str; 4] = ["/", "/status.js", "/status.css", "/status.svg"];
+
+/// `GET /`
+pub(super) async fn html() -> Html<&'static str> {
+    Html(include_str!("page/status.html"))
+}
+
+/// `GET /status.js`
+pub(super) async fn script() -> impl IntoResponse {
+    ([(CONTENT_TYPE, "text/javascript; charset=utf-8")], include_str!("page/status.js"))
+}
+
+/// `GET /status.css`
+pub(super) async fn style() -> impl IntoResponse {
+    ([(CONTENT_TYPE, "text/css; charset=utf-8")], include_str!("page/status.css"))
+}
+
+/// `GET /status.svg`
+pub(super) async fn icon() -> impl IntoResponse {
+    ([(CONTENT_TYPE, "image/svg+xml")], include_str!("page/status.svg"))
+}

@@ -1,0 +1,249 @@
+//! How a look at a relay is drawn: a few lines about the relay, then nets, nodes and drop reasons.
+
+use std::fmt::Write;
+use std::time::Duration;
+
+use comfy_table::{CellAlignment, ContentArrangement, Table, presets};
+
+use super::seen::{Net, Node, Seen, Status, Traffic};
+
+/// So many nodes are a list for a person.
+const MOST_NODES: u64 = 100;
+
+const RED: &str = "31";
+const DIM: &str = "2";
+
+/// What it is drawn on.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Paper {
+    pub(super) colour: bool,
+    /// Columns; none: any number.
+    pub(super) width: Option<u16>,
+    /// Whether every node is drawn.
+    pub(super) full: bool,
+}
+
+/// An earlier look, and how long ago that was.
+type Earlier<'a> = Option<(Duration, &'a Seen)>;
+
+impl Paper {
+    /// Draws it: counts since the start, or rates since an earlier look.
+    pub(super) fn draw(self, seen: &Seen, earlier: Earlier<'_>, url: &str) -> String {
+        let mut text = self.relay(&seen.status, url);
+        let nets = net_rows(seen, earlier);
+        let _ = write!(text, "\n{}\n", self.table(net_header(earlier.is_some()), &nets));
+        text += &self.nodes(seen, earlier);
+        text += &self.drops(seen);
+        text
+    }
+
+    fn relay(self, status: &Status, url: &str) -> String {
+        let Status { version, public_ports, .. } = status;
+        let mut text = format!(
+            "pnet-nat {version} at {url}, up for {}, {public_ports} public ports\n",
+            age(status.uptime_seconds)
+        );
+        if !status.ready {
+            text += &self.paint(RED, "It is not relaying: it starts or stops.");
+            text.push('\n');
+        }
+        let in_force = age(status.reload.in_force_seconds);
+        if status.reload.successful {
+            let _ = writeln!(text, "Last reload successful; this configuration is {in_force} old");
+        } else {
+            let failed = format!(
+                "Last reload failed; the configuration in force is {in_force} old. \
+                 pnet-nat check names every fault."
+            );
+            text += &self.paint(RED, &failed);
+            text.push('\n');
+        }
+        let layers = status.sandbox.iter().map(|layer| {
+            let why = layer.why.as_ref().map(|why| format!(" ({why})")).unwrap_or_default();
+            format!("{} {}{why}", layer.layer, layer.state)
+        });
+        let _ = writeln!(text, "Confinement: {}", layers.collect::<Vec<_>>().join(", "));
+        text
+    }
+
+    fn nodes(self, seen: &Seen, earlier: Earlier<'_>) -> String {
+        let all = seen.nets.iter().map(|net| net.nodes.len() as u64).sum::<u64>();
+        let every = self.full || all <= MOST_NODES;
+        let nodes: Vec<_> = seen
+            .nets
+            .iter()
+            .flat_map(|net| net.nodes.iter().map(move |node| (net, node)))
+            .filter(|(_, node)| every || node.state == "silent")
+            .collect();
+        let mut text = match (every, nodes.len()) {
+            (true, _) => "\n".to_owned(),
+            (false, 0) => return format!("\nOf {all} nodes none is silent; --full shows them.\n"),
+            (false, silent) => {
+                format!("\nThe silent of {all} nodes, {silent}; --full shows all.\n")
+            }
+        };
+        let rows: Vec<_> = nodes.iter().map(|(net, node)| node_row(net, node, earlier)).collect();
+        let table = self.table(node_header(earlier.is_some()), &rows);
+        for (index, line) in table.lines().enumerate() {
+            // Below the header and its rule there is a line for each node.
+            let node = index.checked_sub(2).and_then(|row| nodes.get(row));
+            let line = match node.map(|(_, node)| node.state.as_str()) {
+                Some("silent") => self.paint(RED, line),
+                Some("never_asked") => self.paint(DIM, line),
+                _ => line.to_owned(),
+            };
+            text += &line;
+            text.push('\n');
+        }
+        text
+    }
+
+    fn drops(self, seen: &Seen) -> String {
+        let dropped = seen.dropped();
+        if dropped.is_empty() {
+            return "\nNothing was dropped.\n".to_owned();
+        }
+        let meaning = |reason| seen.drop_reasons.get(reason).map_or("", String::as_str);
+        let rows = dropped.iter().map(|(reason, count)| {
+            [(*reason).to_owned(), count.to_string(), meaning(*reason).replace('`', "")]
+        });
+        let header = ["Dropped", "Since start", "What it means, what to do"];
+        let mut table = plain(header, &rows.collect::<Vec<_>>());
+        if let Some(width) = self.width {
+            table.set_content_arrangement(ContentArrangement::Dynamic).set_width(width);
+        }
+        let Status { wrong_password_sources: sources, wrong_password_sources_at_most, .. } =
+            seen.status;
+        let or_more = if sources >= wrong_password_sources_at_most { " or more" } else { "" };
+        let mut text = format!("\n{table}\n");
+        if sources > 0 {
+            let addresses = if sources == 1 { "address" } else { "addresses" };
+            let _ = writeln!(text, "\nWrong passwords came from {sources}{or_more} {addresses}.");
+        }
+        text
+    }
+
+    fn table<const COLUMNS: usize>(
+        self,
+        header: [&str; COLUMNS],
+        rows: &[[String; COLUMNS]],
+    ) -> String {
+        plain(header, rows).to_string()
+    }
+
+    fn paint(self, code: &str, text: &str) -> String {
+        if self.colour { format!("\x1b[{code}m{text}\x1b[0m") } else { text.to_owned() }
+    }
+}
+
+fn plain<const COLUMNS: usize>(header: [&str; COLUMNS], rows: &[[String; COLUMNS]]) -> Table {
+    let mut table = Table::new();
+    table.load_preset(presets::ASCII_MARKDOWN).set_header(header).add_rows(rows);
+    let is_figure = |text: &String| text == "–" || text.starts_with(|c: char| c.is_ascii_digit());
+    for (index, column) in table.column_iter_mut().enumerate() {
+        if rows.iter().all(|row| is_figure(&row[index])) {
+            column.set_cell_alignment(CellAlignment::Right);
+        }
+    }
+    table
+}
+
+fn net_header(rates: bool) -> [&'static str; 9] {
+    let [requests, _] = request_and_answer(rates);
+    ["Net", "Answering", "Silent", "Never asked", requests, "Median", "99 %", "Flows", "Dropped"]
+}
+
+fn node_header(rates: bool) -> [&'static str; 10] {
+    let [requests, answers] = request_and_answer(rates);
+    [
+        "Net",
+        "Node",
+        "State",
+        requests,
+        answers,
+        "Median",
+        "99 %",
+        "Dropped",
+        "Last answer",
+        "Server",
+    ]
+}
+
+fn request_and_answer(rates: bool) -> [&'static str; 2] {
+    if rates { ["Requests/s", "Answers/s"] } else { ["Requests", "Answers"] }
+}
+
+fn net_rows(seen: &Seen, earlier: Earlier<'_>) -> Vec<[String; 9]> {
+    let row = |net: &Net| {
+        let before = earlier.map(|(ago, seen)| {
+            let same = |before: &&Net| before.name == net.name;
+            (ago, seen.nets.iter().find(same).map(|net| &net.traffic))
+        });
+        let [requests, _] = traffic(&net.traffic, before);
+        [
+            net.name.clone(),
+            net.answering_nodes.to_string(),
+            net.silent_nodes.len().to_string(),
+            net.never_asked_nodes.to_string(),
+            requests,
+            duration(net.traffic.response_time_median_seconds),
+            duration(net.traffic.response_time_p99_seconds),
+            format!("{} of {}", net.flows, net.max_flows),
+            net.traffic.dropped().to_string(),
+        ]
+    };
+    seen.nets.iter().map(row).collect()
+}
+
+fn node_row(net: &Net, node: &Node, earlier: Earlier<'_>) -> [String; 10] {
+    let before = earlier.map(|(ago, seen)| {
+        let before = seen.nets.iter().find(|before| before.name == net.name);
+        let nodes = before.map(|net| net.nodes.as_slice()).unwrap_or_default();
+        let same = |before: &&Node| before.public_port == node.public_port;
+        (ago, nodes.iter().find(same).map(|node| &node.traffic))
+    });
+    let [requests, answers] = traffic(&node.traffic, before);
+    [
+        net.name.clone(),
+        node.node.to_string(),
+        node.state.replace('_', " "),
+        requests,
+        answers,
+        duration(node.traffic.response_time_median_seconds),
+        duration(node.traffic.response_time_p99_seconds),
+        node.traffic.dropped().to_string(),
+        node.last_response_age_seconds.map_or("–".to_owned(), |seconds| age(seconds) + " ago"),
+        node.server.clone(),
+    ]
+}
+
+/// Requests and answers that were passed on: how many, or how many a second since an earlier look.
+fn traffic(now: &Traffic, earlier: Option<(Duration, Option<&Traffic>)>) -> [String; 2] {
+    let [request, response]: [fn(&Traffic) -> u64; 2] =
+        [|t| t.request.forwarded_datagrams, |t| t.response.forwarded_datagrams];
+    [request, response].map(|count| match earlier {
+        None => count(now).to_string(),
+        Some((_, None)) => "–".to_owned(),
+        Some((ago, Some(before))) => {
+            let more = count(now).saturating_sub(count(before));
+            format!("{:.1}", more as f64 / ago.as_secs_f64())
+        }
+    })
+}
+
+fn duration(seconds: Option<f64>) -> String {
+    match seconds {
+        None => "–".to_owned(),
+        Some(seconds) if seconds < 1.0 => format!("{:.2} ms", seconds * 1e3),
+        Some(seconds) => format!("{seconds:.2} s"),
+    }
+}
+
+/// Roughly how long: its largest unit.
+fn age(seconds: f64) -> String {
+    let unit = [("d", 86_400.0), ("h", 3_600.0), ("min", 60.0)];
+    match unit.into_iter().find(|(_, length)| seconds >= 2.0 * length) {
+        Some((name, length)) => format!("{:.0} {name}", (seconds / length).floor()),
+        None => format!("{seconds:.0} s"),
+    }
+}

@@ -1,0 +1,163 @@
+//! A headless Chromium, told what to do over WebDriver (W3C) and asked what it shows.
+
+use std::fs;
+use std::path::PathBuf;
+use std::process::Command;
+
+use serde_json::{Value, json};
+
+use super::{Process, eventually, left_out};
+
+/// An accessibility checker, axe-core, as `.ci/run` puts it there.
+const AXE: &str = concat!(env!("CARGO_TARGET_TMPDIR"), "/axe/axe_playwright_python/axe.min.js");
+const SCREENSHOTS: &str = concat!(env!("CARGO_TARGET_TMPDIR"), "/status-page");
+
+/// A browser with one window; ends when dropped.
+#[derive(Debug)]
+pub(crate) struct Browser {
+    session: String,
+    /// The driver, which ends its browser when the session ends.
+    _driver: Process,
+}
+
+impl Browser {
+    /// Starts one; none, and says so, where there is no chromedriver.
+    pub(crate) fn start() -> Option<Self> {
+        if Command::new("chromedriver").arg("--version").output().is_err() {
+            left_out("chromedriver, of the package chromium-driver");
+            return None;
+        }
+        let mut command = Command::new("chromedriver");
+        command.arg("--port=0");
+        let driver = Process::start(command);
+        let port = eventually("the driver tells its port", || {
+            let stdout = driver.stdout();
+            let (_, rest) = stdout.split_once("successfully on port ")?;
+            Some(rest.split_once('.')?.0.to_owned())
+        });
+        // Root, which tests are, has no sandbox of Chromium's; /dev/shm is small in containers.
+        let arguments = ["--headless=new", "--no-sandbox", "--disable-dev-shm-usage"];
+        let capabilities = json!({ "alwaysMatch": {
+            "goog:chromeOptions": { "args": arguments },
+            "goog:loggingPrefs": { "browser": "ALL" },
+        } });
+        let url = format!("http://127.0.0.1:{port}/session");
+        let session = post(&url, &json!({ "capabilities": capabilities }));
+        let session = format!("{url}/{}", session["sessionId"].as_str().unwrap());
+        Some(Self { session, _driver: driver })
+    }
+
+    pub(crate) fn open(&self, url: &str) {
+        self.say("url", json!({ "url": url }));
+    }
+
+    /// A window of this size, of a phone or not, in this colour scheme.
+    pub(crate) fn look(&self, width: u16, height: u16, is_phone: bool, scheme: &str) {
+        let size = json!({ "width": width, "height": height, "deviceScaleFactor": 1,
+            "mobile": is_phone });
+        self.devtools("Emulation.setDeviceMetricsOverride", &size);
+        let scheme = json!({ "name": "prefers-color-scheme", "value": scheme });
+        self.devtools("Emulation.setEmulatedMedia", &json!({ "features": [scheme] }));
+    }
+
+    /// What the body of a function returns, run in the page.
+    pub(crate) fn run(&self, body: &str) -> Value {
+        self.say("execute/sync", json!({ "script": body, "args": [] }))
+    }
+
+    /// The text that is shown of the first element that fits; empty when none does.
+    pub(crate) fn text(&self, selector: &str) -> String {
+        let text = self.run(&format!(
+            "const found = document.querySelector(`{selector}`);
+            return found?.checkVisibility() ? found.innerText : ''"
+        ));
+        text.as_str().unwrap().to_owned()
+    }
+
+    /// Waits until an element shows this.
+    #[track_caller]
+    pub(crate) fn expect(&self, selector: &str, text: &str) {
+        let mut shown = String::new();
+        let found = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| {
+            eventually("the page shows it", || {
+                shown = self.text(selector);
+                shown.contains(text).then_some(())
+            });
+        }));
+        assert!(found.is_ok(), "{selector} shows {shown:?}, not {text:?}");
+    }
+
+    /// Presses a key or types a text, wherever the focus is (WebDriver, 17.4.2).
+    pub(crate) fn press(&self, keys: &str) {
+        let press = |key: char| {
+            let key = key.to_string();
+            [json!({ "type": "keyDown", "value": key }), json!({ "type": "keyUp", "value": key })]
+        };
+        let actions: Vec<_> = keys.chars().flat_map(press).collect();
+        let keyboard = json!({ "type": "key", "id": "keyboard", "actions": actions });
+        self.say("actions", json!({ "actions": [keyboard] }));
+    }
+
+    /// Errors in the console since it was last asked.
+    pub(crate) fn errors(&self) -> Vec<String> {
+        let log = self.say("se/log", json!({ "type": "browser" }));
+        let errors = log.as_array().unwrap().iter().filter(|line| line["level"] == "SEVERE");
+        errors.map(|line| line["message"].as_str().unwrap().to_owned()).collect()
+    }
+
+    /// Writes what the whole page looks like to a file, for people.
+    pub(crate) fn screenshot(&self, name: &str) {
+        let whole = json!({ "captureBeyondViewport": true });
+        let shot = self.devtools("Page.captureScreenshot", &whole);
+        let script = format!(
+            "return Array.from(atob('{}'), (c) => c.charCodeAt(0))",
+            shot["data"].as_str().unwrap()
+        );
+        let octets: Vec<u8> = serde_json::from_value(self.run(&script)).unwrap();
+        fs::create_dir_all(SCREENSHOTS).unwrap();
+        let path = PathBuf::from(SCREENSHOTS).join(format!("{name}.png"));
+        fs::write(&path, octets).unwrap();
+        println!("{}", path.display());
+    }
+
+    /// What axe-core has to object to the page as it is: rules and the elements that break them.
+    /// None, and says so, where it is not there.
+    pub(crate) fn accessibility_faults(&self) -> Option<Vec<String>> {
+        let Ok(axe) = fs::read_to_string(AXE) else {
+            left_out(&format!("axe-core in {AXE}; see .ci/run"));
+            return None;
+        };
+        self.run(&axe);
+        let script = "const done = arguments[0]; axe.run().then((result) => done(
+            result.violations.flatMap(({ id, nodes }) => nodes.map((node) =>
+                `${id}: ${node.html} ${node.failureSummary}`))), (error) => done([`${error}`]));";
+        let faults = self.say("execute/async", json!({ "script": script, "args": [] }));
+        Some(serde_json::from_value(faults).unwrap())
+    }
+
+    fn devtools(&self, command: &str, parameters: &Value) -> Value {
+        self.say("goog/cdp/execute", json!({ "cmd": command, "params": parameters }))
+    }
+
+    fn say(&self, command: &str, parameters: Value) -> Value {
+        post(&format!("{}/{command}", self.session), &parameters)
+    }
+}
+
+impl Drop for Browser {
+    fn drop(&mut self) {
+        // Without this the browser would outlive its driver.
+        let _ = ureq::delete(&self.session).call();
+    }
+}
+
+fn post(url: &str, body: &Value) -> Value {
+    let agent: ureq::Agent =
+        ureq::Agent::config_builder().http_status_as_error(false).proxy(None).build().into();
+    let mut answer = agent.post(url).send(body.to_string()).unwrap();
+    let text = answer.body_mut().with_config().limit(64 << 20).read_to_string().unwrap();
+    let mut answer: Value = serde_json::from_str(&text).expect(&text);
+    let value = answer["value"].take();
+    assert!(value["error"].is_null(), "{url}: {value}");
+    value
+}
