@@ -240,7 +240,7 @@ class NodeRow {
     this.since = make("small");
     this.state = make("td", {}, this.mark, " ", this.word, this.since);
     const number = (extra = "") => make("td", { class: `number ${extra}` });
-    this.figures = [number(), number("wide"), number(), number(), number()];
+    this.figures = [number(), number("wide"), number(), number("wide"), number()];
     this.row = make("tr", { "data-node": node.node }, head, this.state, ...this.figures);
   }
 
@@ -287,7 +287,7 @@ class NetView {
     this.body = make("tbody");
     const columns = [
       ["Node", ""], ["State", ""], ["Requests", "number"], ["Answers", "number wide"],
-      ["Median", "number"], ["99 %", "number"], ["Dropped", "number"],
+      ["Median", "number"], ["99 %", "number wide"], ["Dropped", "number"],
     ].map(([title, style]) => make("th", { scope: "col", class: style }, title));
     const table = make("table", { "aria-label": `Nodes of ${net.name}` },
       make("thead", {}, make("tr", {}, ...columns)), this.body);

@@ -28,9 +28,9 @@ const MOST_OCTETS: u64 = 64 << 20;
 
 /// Show nets and nodes of a running relay: who answers, how fast, and what is dropped.
 #[derive(Debug, clap::Args)]
-#[command(after_help = "Examples:  pnet-nat status\n\
-    \x20          pnet-nat status --watch --net section-1\n\
-    \x20          pnet-nat status --format json | jq '.nets[].silent_nodes'\n\
+#[command(after_help = "Example:  pnet-nat status\n\
+    \x20         pnet-nat status --watch --net section-1\n\
+    \x20         pnet-nat status --format json | jq '.nets[].silent_nodes'\n\
     Exit codes: 0 shown, whatever there is to see; 1 no answer, or none of a relay.")]
 pub(super) struct Args {
     /// Where the relay's admin server is: host and port are those of [admin] listen.
