@@ -98,7 +98,9 @@ fn it_relays_on_the_hosts_network() {
 
 /// All that the kernel and the engine let it give up is given up, and it is nobody special.
 fn is_confined(relay: &Process) {
-    let line = relay.log().find(|line| line["memory"].is_string()).expect("a line that tells");
+    // The engine hands the log on a little late.
+    let tells = || relay.log().find(|line| line["memory"].is_string());
+    let line = eventually("a line that tells", tells);
     assert_eq!(line["user"], USER);
     for layer in ["memory", "no_new_privs", "capabilities", "landlock", "seccomp"] {
         assert_eq!(line[layer], "on", "{line}");
