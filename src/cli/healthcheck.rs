@@ -4,7 +4,7 @@
 use std::process::ExitCode;
 use std::time::Duration;
 
-use ureq::Agent;
+use super::agent;
 
 /// Ask a running relay whether it is ready: exit 0 when it is, else 1 and a line that says why.
 #[derive(Debug, clap::Args)]
@@ -32,15 +32,7 @@ pub(super) struct Args {
 
 /// Asks once.
 pub(super) fn run(args: Args) -> anyhow::Result<ExitCode> {
-    // Straight to the relay: neither proxies of the environment nor redirects.
-    let agent: Agent = Agent::config_builder()
-        .timeout_global(Some(args.timeout))
-        .http_status_as_error(false)
-        .max_redirects(0)
-        .proxy(None)
-        .build()
-        .into();
-    let why = match agent.get(&args.url).call() {
+    let why = match agent(args.timeout).get(&args.url).call() {
         Ok(answer) if answer.status() == 200 => return Ok(ExitCode::SUCCESS),
         Ok(answer) => format!("answered {}", answer.status()),
         Err(error) => error.to_string(),

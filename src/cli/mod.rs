@@ -17,10 +17,12 @@ mod status;
 use std::io::{self, Write};
 use std::path::Path;
 use std::process::ExitCode;
+use std::time::Duration;
 
 use anyhow::anyhow;
 use clap::{Parser, Subcommand};
 use tracing::Level;
+use ureq::Agent;
 
 use crate::config::{self, Config, Warning};
 use crate::log::{self, LogFormat};
@@ -115,6 +117,17 @@ fn load(path: &Path) -> Result<(Config, Vec<Warning>), ExitCode> {
 /// The password in a file: a value parser of options.
 fn password_file(path: &str) -> anyhow::Result<Password> {
     config::read_password(path.into()).map_err(|error| anyhow!("{error}; {}", error.remedy()))
+}
+
+/// Asks a relay's admin server straight: neither proxies of the environment nor redirects.
+fn agent(timeout: Duration) -> Agent {
+    Agent::config_builder()
+        .timeout_global(Some(timeout))
+        .http_status_as_error(false)
+        .max_redirects(0)
+        .proxy(None)
+        .build()
+        .into()
 }
 
 /// Says on stderr why a command cannot be carried out. When even stderr is gone, the exit code

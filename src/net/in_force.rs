@@ -18,8 +18,10 @@ pub struct InForce {
     pub config: Config,
     /// The counters of each worker; a figure of the router is their sum.
     pub counters: Vec<Arc<Counters>>,
-    /// Of each net, and last of the upstream sockets, which belong to none.
+    /// Of each net.
     drops: Vec<Arc<NetDrops>>,
+    /// Of the upstream sockets, which belong to no net.
+    pub(super) upstream_drops: Arc<NetDrops>,
     /// Of each worker.
     listeners: Mutex<Vec<Listeners>>,
 }
@@ -29,9 +31,10 @@ impl InForce {
         config: Config,
         counters: Vec<Arc<Counters>>,
         drops: Vec<Arc<NetDrops>>,
+        upstream_drops: Arc<NetDrops>,
         listeners: Vec<Listeners>,
     ) -> Self {
-        Self { config, counters, drops, listeners: Mutex::new(listeners) }
+        Self { config, counters, drops, upstream_drops, listeners: Mutex::new(listeners) }
     }
 
     /// Datagrams that the kernel dropped on a net's public sockets.
@@ -46,12 +49,7 @@ impl InForce {
 
     /// Datagrams that the kernel dropped on upstream sockets, up to a second late.
     pub fn upstream_kernel_drops(&self) -> KernelDrops {
-        self.drops.last().map_or_else(KernelDrops::default, |drops| drops.get())
-    }
-
-    /// The figures behind [`upstream_kernel_drops`](Self::upstream_kernel_drops).
-    pub(super) fn drops_upstream(&self) -> Option<&Arc<NetDrops>> {
-        self.drops.last()
+        self.upstream_drops.get()
     }
 
     /// The public sockets of each worker.

@@ -80,7 +80,8 @@ impl Router {
         let known = old.drops_by_name();
         let drops_of = |net: &Net| known.get(net.name.as_str()).copied().cloned();
         let drops = config.table.nets().iter().map(|net| drops_of(net).unwrap_or_default());
-        let drops: Vec<Arc<NetDrops>> = drops.chain(old.drops_upstream().cloned()).collect();
+        let drops: Vec<Arc<NetDrops>> = drops.collect();
+        let upstream_drops = Arc::clone(&old.upstream_drops);
         let before = old.listeners().clone();
         let listeners = bind::open(&config, &drops, &before, self.workers.len())?;
         for ((worker, next), before) in self.workers.iter().zip(&listeners).zip(&before) {
@@ -111,7 +112,7 @@ impl Router {
         if config.runtime.receive_buffer != old.config.runtime.receive_buffer {
             resize_buffers(&config, &listeners);
         }
-        let next = Arc::new(InForce::new(config, counters, drops, listeners));
+        let next = Arc::new(InForce::new(config, counters, drops, upstream_drops, listeners));
         *self.in_force.write().unwrap_or_else(PoisonError::into_inner) = next;
         old.retire();
         Ok(changes)

@@ -81,9 +81,9 @@ impl Router {
     pub fn bind(config: Config) -> Result<Bound, StartError> {
         let started = Instant::now();
         let plan = descriptors::plan(addresses(&config), config.runtime.workers)?;
-        let of_nets = config.table.nets().iter().map(|_| Arc::default());
-        let of_upstream: Arc<NetDrops> = Arc::default();
-        let drops: Vec<_> = of_nets.chain([Arc::clone(&of_upstream)]).collect();
+        let drops: Vec<Arc<NetDrops>> =
+            config.table.nets().iter().map(|_| Arc::default()).collect();
+        let upstream_drops = Arc::default();
         let listeners = bind::open(&config, &drops, &[], plan.workers)?;
         bind::tell_short_buffers(&config, &listeners);
 
@@ -101,14 +101,15 @@ impl Router {
                 &plan,
                 started,
                 &audit,
-                &of_upstream,
+                &upstream_drops,
             )?;
             handles.push(handle);
             counters.push(counter);
             workers.push(worker);
         }
+        let in_force = InForce::new(config, counters, drops, upstream_drops, listeners);
         let router = Self {
-            in_force: RwLock::new(Arc::new(InForce::new(config, counters, drops, listeners))),
+            in_force: RwLock::new(Arc::new(in_force)),
             last_reload: Mutex::new(LastReload::succeeded()),
             changing: Mutex::default(),
             audit,
@@ -126,8 +127,9 @@ impl Router {
         let counters = (0..workers).map(|_| Arc::new(Counters::new(&config.table))).collect();
         let drops = config.table.nets().iter().map(|_| Arc::default()).collect();
         let audit = Arc::new(Audit::new(config.runtime.audit_lines));
+        let in_force = InForce::new(config, counters, drops, Arc::default(), Vec::new());
         Arc::new(Self {
-            in_force: RwLock::new(Arc::new(InForce::new(config, counters, drops, Vec::new()))),
+            in_force: RwLock::new(Arc::new(in_force)),
             last_reload: Mutex::new(LastReload::succeeded()),
             changing: Mutex::default(),
             audit,

@@ -11,6 +11,7 @@ use std::time::Duration;
 
 use super::figures::{Figures, NodeFigures};
 use super::traffic::Intrusions;
+use crate::cli::output::Paint;
 use crate::log::no_color;
 
 /// Standard output, and how it is written to.
@@ -92,34 +93,6 @@ impl Display {
         }
         self.lines = table.lines().count();
         out.flush()
-    }
-}
-
-/// Colour, or none.
-#[derive(Clone, Copy, Debug)]
-struct Paint {
-    colour: bool,
-}
-
-impl Paint {
-    fn bold(self, text: &str) -> String {
-        self.with("1", text)
-    }
-
-    fn dim(self, text: &str) -> String {
-        self.with("2", text)
-    }
-
-    fn red(self, text: &str) -> String {
-        self.with("31", text)
-    }
-
-    fn green(self, text: &str) -> String {
-        self.with("32", text)
-    }
-
-    fn with(self, code: &str, text: &str) -> String {
-        if self.colour { format!("\x1b[{code}m{text}\x1b[0m") } else { text.to_owned() }
     }
 }
 

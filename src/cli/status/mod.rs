@@ -5,20 +5,22 @@
 mod seen;
 mod table;
 
+use std::fs;
 use std::io::{self, IsTerminal, Write, stdout};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::{Duration, Instant};
-use std::{env, fs};
 
 use anyhow::{Context, anyhow, bail};
-use clap::ValueEnum;
 use serde_json::{Value, json};
 use terminal_size::terminal_size;
 use ureq::Agent;
 
+use super::agent;
+use super::output::{Format, Paint};
 use super::signals::Signals;
 use crate::config::Token;
+use crate::log::no_color;
 
 use seen::Seen;
 use table::Paper;
@@ -86,12 +88,6 @@ pub(super) struct Args {
     format: Format,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-enum Format {
-    Text,
-    Json,
-}
-
 /// Shows it once, or until Ctrl-C.
 pub(super) fn run(args: Args) -> anyhow::Result<ExitCode> {
     let relay = Relay::new(&args)?;
@@ -155,7 +151,7 @@ fn show(text: &str, format: Format) -> io::Result<()> {
 fn paper(full: bool) -> Paper {
     let terminal = stdout().is_terminal();
     Paper {
-        colour: terminal && env::var_os("NO_COLOR").is_none_or(|value| value.is_empty()),
+        paint: Paint { colour: terminal && !no_color() },
         width: terminal_size().filter(|_| terminal).map(|(width, _)| width.0),
         full,
     }
@@ -172,14 +168,7 @@ struct Relay {
 
 impl Relay {
     fn new(args: &Args) -> anyhow::Result<Self> {
-        // Straight to the relay: neither proxies of the environment nor redirects.
-        let agent = Agent::config_builder()
-            .timeout_global(Some(args.timeout))
-            .http_status_as_error(false)
-            .max_redirects(0)
-            .proxy(None)
-            .build()
-            .into();
+        let agent = agent(args.timeout);
         let url = args.url.trim_end_matches('/').to_owned();
         let bearer = args.token_file.as_deref().map(bearer).transpose()?;
         Ok(Self { agent, url, net: args.net.clone(), bearer })

@@ -5,18 +5,16 @@ use std::time::Duration;
 
 use comfy_table::{CellAlignment, ContentArrangement, Table, presets};
 
+use super::super::output::Paint;
 use super::seen::{Net, Node, Seen, Status, Traffic};
 
 /// So many nodes are a list for a person.
 const MOST_NODES: u64 = 100;
 
-const RED: &str = "31";
-const DIM: &str = "2";
-
 /// What it is drawn on.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Paper {
-    pub(super) colour: bool,
+    pub(super) paint: Paint,
     /// Columns; none: any number.
     pub(super) width: Option<u16>,
     /// Whether every node is drawn.
@@ -44,7 +42,7 @@ impl Paper {
             age(status.uptime_seconds)
         );
         if !status.ready {
-            text += &self.paint(RED, "It is not relaying: it starts or stops.");
+            text += &self.paint.red("It is not relaying: it starts or stops.");
             text.push('\n');
         }
         let in_force = age(status.reload.in_force_seconds);
@@ -55,7 +53,7 @@ impl Paper {
                 "Last reload failed; the configuration in force is {in_force} old. \
                  pnet-nat check names every fault."
             );
-            text += &self.paint(RED, &failed);
+            text += &self.paint.red(&failed);
             text.push('\n');
         }
         let layers = status.sandbox.iter().map(|layer| {
@@ -88,8 +86,8 @@ impl Paper {
             // Below the header and its rule there is a line for each node.
             let node = index.checked_sub(2).and_then(|row| nodes.get(row));
             let line = match node.map(|(_, node)| node.state.as_str()) {
-                Some("silent") => self.paint(RED, line),
-                Some("never_asked") => self.paint(DIM, line),
+                Some("silent") => self.paint.red(line),
+                Some("never_asked") => self.paint.dim(line),
                 _ => line.to_owned(),
             };
             text += &line;
@@ -129,10 +127,6 @@ impl Paper {
         rows: &[[String; COLUMNS]],
     ) -> String {
         plain(header, rows).to_string()
-    }
-
-    fn paint(self, code: &str, text: &str) -> String {
-        if self.colour { format!("\x1b[{code}m{text}\x1b[0m") } else { text.to_owned() }
     }
 }
 

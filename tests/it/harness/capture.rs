@@ -88,8 +88,9 @@ fn take_down(mut socket: Socket, seen: &Mutex<Vec<Packet>>, ended: &AtomicBool) 
             Ok(length) => seen.lock().unwrap().extend(Packet::parse(&octets[..length])),
             Err(error) if error.kind() == ErrorKind::WouldBlock && last => return,
             Err(error) if error.kind() == ErrorKind::WouldBlock => {}
-            // An interface went down.
-            Err(error) if error.kind() == ErrorKind::NetworkDown => {}
+            // An interface went down; a process was stopped or traced meanwhile.
+            Err(error)
+                if matches!(error.kind(), ErrorKind::NetworkDown | ErrorKind::Interrupted) => {}
             Err(error) => panic!("{error}"),
         }
     }
