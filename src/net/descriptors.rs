@@ -7,8 +7,10 @@ use nix::sys::resource::{Resource, getrlimit, setrlimit};
 
 /// What everything but the sockets of the data path may use: logs, the admin server's connections.
 const RESERVE: usize = 128;
-/// What a worker needs beside its public sockets: epoll, wake-up, and a first few upstream sockets.
-const FOR_A_WORKER: usize = 2 + 32;
+/// epoll, wake-up, tick.
+const OWN: usize = 3;
+/// What a worker needs beside its public sockets: its own, and a first few upstream sockets.
+const FOR_A_WORKER: usize = OWN + 31;
 
 /// What fits in the limit of file descriptors.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -77,7 +79,7 @@ fn divide(
             "the hard limit of file descriptors allows fewer workers than usual"
         );
     }
-    let upstreams = (limit - RESERVE) / workers - addresses - 2;
+    let upstreams = (limit - RESERVE) / workers - addresses - OWN;
     Ok(Plan { workers, upstreams })
 }
 
@@ -92,8 +94,8 @@ mod tests {
     #[test]
     fn all_the_usual_workers_when_the_limit_allows() {
         let plan = divide(8000, None, n(2), 20_000).unwrap();
-        assert_eq!(plan, Plan { workers: 2, upstreams: 1934 });
-        assert!(RESERVE + 2 * (8000 + 2 + plan.upstreams) <= 20_000);
+        assert_eq!(plan, Plan { workers: 2, upstreams: 1933 });
+        assert!(RESERVE + 2 * (8000 + OWN + plan.upstreams) <= 20_000);
     }
 
     #[test]

@@ -20,6 +20,7 @@ mod router;
 #[allow(unsafe_code)]
 mod socket;
 mod steer;
+mod tick;
 mod upstream;
 mod worker;
 

@@ -10,10 +10,12 @@ pub(super) enum Place {
     Public(ListenerId),
     Upstream(UpstreamId),
     Wake,
+    Tick,
 }
 
 const UPSTREAM: u64 = 1 << 32;
 const WAKE: u64 = 1 << 33;
+const TICK: u64 = 1 << 34;
 
 impl Place {
     pub(super) fn key(self) -> u64 {
@@ -21,12 +23,14 @@ impl Place {
             Self::Public(id) => u64::from(id.0),
             Self::Upstream(id) => UPSTREAM | u64::from(id.0),
             Self::Wake => WAKE,
+            Self::Tick => TICK,
         }
     }
 
     pub(super) fn from_key(key: u64) -> Self {
         match key {
             WAKE => Self::Wake,
+            TICK => Self::Tick,
             _ if key & UPSTREAM != 0 => Self::Upstream(UpstreamId(key as u32)),
             _ => Self::Public(ListenerId(key as u32)),
         }

@@ -28,10 +28,9 @@ use super::flood::FloodGuard;
 use super::place::Place;
 use super::prefilter;
 use super::public::{Listener, Listeners, NetDrops};
+use super::tick::Ticker;
 use super::upstream::UpstreamSockets;
 
-/// How often flows are looked through for idle ones.
-const TICK: Duration = Duration::from_secs(1);
 /// How long a stopping worker waits for one more answer before it looks whether any is due.
 const DRAIN_TICK: Duration = Duration::from_millis(20);
 /// Ready sockets taken from the kernel at once.
@@ -77,7 +76,7 @@ pub(super) struct Worker {
     unfinished: Vec<Place>,
     commands: Receiver<Command>,
     drain_until: Option<Instant>,
-    next_tick: Instant,
+    ticker: Ticker,
     wake: Arc<EventFd>,
     complaints: Complaints,
     floods: FloodGuard,
@@ -117,6 +116,7 @@ pub(super) fn watch(
 impl Worker {
     pub(super) fn new(parts: Parts) -> io::Result<Self> {
         parts.epoll.add(&*parts.wake, Place::Wake.arrivals())?;
+        let ticker = Ticker::new(&parts.epoll)?;
         let (prefilter, places) = (parts.runtime.prefilter, parts.listeners.places());
         let floods = FloodGuard::new(prefilter, places, parts.table.clone(), parts.started);
         Ok(Self {
@@ -135,7 +135,7 @@ impl Worker {
             unfinished: Vec::new(),
             commands: parts.commands,
             drain_until: None,
-            next_tick: Instant::now(),
+            ticker,
             wake: parts.wake,
             complaints: Complaints::default(),
             floods,
@@ -164,12 +164,7 @@ impl Worker {
             unfinished.drain(..).for_each(|place| self.take(place, now));
             self.flush();
             self.busy.note(now, ready);
-            if now >= self.next_tick {
-                self.core.expire(now, &mut self.upstream);
-                self.upstream.account();
-                self.floods.look(&self.listeners);
-                self.next_tick = now + TICK;
-            }
+            self.ticker.run(!self.core.is_idle() || !self.floods.is_quiet());
             if let Some(end) = self.drain_until
                 && (now >= end || (ready == 0 && !self.core.awaits_answers(now)))
             {
@@ -182,8 +177,7 @@ impl Worker {
         let wait = match self.drain_until {
             _ if self.busy.goes_on() || !self.unfinished.is_empty() => Duration::ZERO,
             Some(_) => DRAIN_TICK,
-            None if self.core.is_idle() && self.floods.is_quiet() => return EpollTimeout::NONE,
-            None => TICK,
+            None => return EpollTimeout::NONE,
         };
         EpollTimeout::try_from(wait).unwrap_or(EpollTimeout::ZERO)
     }
@@ -195,6 +189,7 @@ impl Worker {
             Place::Public(id) => self.take_requests(id, now),
             Place::Upstream(id) => self.take_responses(id, now),
             Place::Wake => return self.obey(now),
+            Place::Tick => return self.tick(now),
         };
         self.batch.keep(received);
         if received == AT_ONCE {
@@ -267,7 +262,7 @@ impl Worker {
             |key| match Place::from_key(key) {
                 Place::Public(id) => Some(listeners.get(id)?.socket.socket.as_fd()),
                 Place::Upstream(id) => upstream.get(id),
-                Place::Wake => None,
+                Place::Wake | Place::Tick => None,
             },
             |tag, outcome| match outcome {
                 Ok(()) => self.core.sent(tag.mapping, tag.direction, tag.octets),
@@ -283,6 +278,14 @@ impl Worker {
                 }
             },
         );
+    }
+
+    /// What has to be looked at about once a second.
+    fn tick(&mut self, now: Instant) {
+        self.ticker.read();
+        self.core.expire(now, &mut self.upstream);
+        self.upstream.account();
+        self.floods.look(&self.listeners);
     }
 
     fn obey(&mut self, now: Instant) {

@@ -41,6 +41,7 @@ const ALLOWED: &[libc::c_long] = &[
     libc::SYS_futex,
     libc::SYS_restart_syscall,
     libc::SYS_sched_yield,
+    libc::SYS_timerfd_settime,
     // Reading what may be read, writing what is open
     libc::SYS_close,
     libc::SYS_fcntl,

@@ -179,7 +179,7 @@ fn a_forged_sender_does_not_lock_out_a_live_flow() {
 #[test]
 fn no_upstream_socket_left() {
     let site = Site::claim();
-    let relay = site.relay(Settings { descriptors: Some(167), ..Settings::default() });
+    let relay = site.relay(Settings { descriptors: Some(168), ..Settings::default() });
     let node = site.node(4);
     let address = site.client().address().ip();
     let clients: Vec<_> = (0..33).map(|_| Peer::bind((address, 0).into())).collect();
