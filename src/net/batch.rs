@@ -4,7 +4,8 @@
 //! costs as much as all of the relay's own work on a datagram.
 //!
 //! The receive buffer is the send buffer: what was received stays in its slot until it has been
-//! sent on. A message header's pointers are set right before the call that follows them.
+//! sent on. A slot's header for receiving points at it for good; those for sending are pointed at
+//! slots right before the call that follows them.
 //!
 //! Datagrams of one length to one receiver are handed over as one message, which the kernel cuts
 //! apart as late as it can (UDP_SEGMENT): a burst goes through most of the system once.
@@ -39,7 +40,13 @@ pub(super) struct Batch {
     octets: Box<[Octets]>,
     names: Box<[Name]>,
     controls: Box<[Control]>,
+    /// Of each slot, to receive into it.
+    incoming: Box<[libc::mmsghdr]>,
+    /// Where `incoming` puts octets.
+    rooms: Box<[libc::iovec]>,
+    /// Messages to be sent,
     headers: Box<[libc::mmsghdr]>,
+    /// and the octets in them.
     parts: Box<[libc::iovec]>,
     queue: Vec<Outgoing>,
     /// Slots that hold datagrams until the flush.
@@ -48,8 +55,9 @@ pub(super) struct Batch {
     segments: bool,
 }
 
-// SAFETY: the pointers in `headers` and `parts` are leftovers between calls: each call that has the
-// kernel follow some sets them first, to slots that the same batch owns.
+// SAFETY: the pointers in `incoming` and `rooms` lead to boxed slices that the same batch owns, and
+// move with it. Those in `headers` and `parts` are leftovers between calls: each call that has the
+// kernel follow some sets them first, to slots of the same batch.
 unsafe impl Send for Batch {}
 
 /// What was received in one slot.
@@ -87,17 +95,32 @@ pub(super) struct Tag {
 impl Batch {
     pub(super) fn new() -> Self {
         // SAFETY: message headers and parts are plain integers and pointers; all zero is valid.
-        let (header, part) = unsafe { (mem::zeroed(), mem::zeroed()) };
-        Self {
+        let (header, part): (libc::mmsghdr, libc::iovec) =
+            unsafe { (mem::zeroed(), mem::zeroed()) };
+        let mut batch = Self {
             octets: vec![Octets([0; SLOT]); SLOTS].into(),
             names: vec![Name::default(); SLOTS].into(),
             controls: vec![Control::default(); SLOTS].into(),
+            incoming: vec![header; SLOTS].into(),
+            rooms: vec![part; SLOTS].into(),
             headers: vec![header; SLOTS].into(),
             parts: vec![part; SLOTS].into(),
             queue: Vec::with_capacity(SLOTS),
             used: 0,
             segments: socket::cuts_messages(),
+        };
+        for slot in 0..SLOTS {
+            let octets = batch.octets[slot].0.as_mut_ptr().cast();
+            batch.rooms[slot] = libc::iovec { iov_base: octets, iov_len: SLOT };
+            let header = &mut batch.incoming[slot].msg_hdr;
+            header.msg_name = batch.names[slot].as_mut_ptr();
+            header.msg_namelen = Name::CAPACITY;
+            header.msg_iov = &mut batch.rooms[slot];
+            header.msg_iovlen = 1;
+            header.msg_control = batch.controls[slot].as_mut_ptr();
+            header.msg_controllen = Control::CAPACITY as _;
         }
+        batch
     }
 
     /// Whether another [`receive`](Self::receive) needs a [`flush`](Self::flush) first.
@@ -107,27 +130,16 @@ impl Batch {
 
     /// Takes what waits on a socket, up to [`AT_ONCE`] datagrams, and returns how many.
     pub(super) fn receive(&mut self, socket: BorrowedFd<'_>) -> io::Result<usize> {
-        for (place, slot) in (self.used..self.used + AT_ONCE).enumerate() {
-            let part = &mut self.parts[place];
-            part.iov_base = self.octets[slot].0.as_mut_ptr().cast();
-            part.iov_len = SLOT;
-            let header = &mut self.headers[place].msg_hdr;
-            header.msg_name = self.names[slot].as_mut_ptr();
-            header.msg_namelen = Name::CAPACITY;
-            header.msg_iov = part;
-            header.msg_iovlen = 1;
-            header.msg_control = self.controls[slot].as_mut_ptr();
-            header.msg_controllen = Control::CAPACITY as _;
-        }
+        let headers = &mut self.incoming[self.used..self.used + AT_ONCE];
         loop {
-            // SAFETY: there are AT_ONCE headers, whose pointers and lengths have just been set to
-            // slots of boxed slices that `self` owns; `self` is borrowed exclusively during the
-            // call.
+            // SAFETY: there are AT_ONCE headers, whose pointers lead to slots of boxed slices that
+            // `self` owns, and which say how long these are; `self` is borrowed exclusively during
+            // the call.
             let received = unsafe {
                 libc::syscall(
                     libc::SYS_recvmmsg,
                     socket.as_raw_fd(),
-                    self.headers.as_mut_ptr(),
+                    headers.as_mut_ptr(),
                     AT_ONCE,
                     libc::MSG_DONTWAIT,
                     std::ptr::null_mut::<libc::timespec>(),
@@ -150,7 +162,7 @@ impl Batch {
     #[inline]
     pub(super) fn incoming(&mut self, index: usize) -> Option<Incoming<'_>> {
         let slot = self.used + index;
-        let header = &self.headers[index];
+        let header = &self.incoming[slot];
         let len = (header.msg_len as usize).min(SLOT);
         Some(Incoming {
             slot,
@@ -162,6 +174,11 @@ impl Batch {
 
     /// Keeps the first `count` datagrams of the last [`receive`](Self::receive) until the flush.
     pub(super) fn keep(&mut self, count: usize) {
+        for message in &mut self.incoming[self.used..self.used + count] {
+            // The kernel wrote how much of the room it took.
+            message.msg_hdr.msg_namelen = Name::CAPACITY;
+            message.msg_hdr.msg_controllen = Control::CAPACITY as _;
+        }
         self.used += count;
     }
 
