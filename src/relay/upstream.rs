@@ -23,6 +23,10 @@ const REST: Nanos = 120_000_000_000;
 /// How many open sockets are tried at random before another is opened.
 const PROBES: usize = 8;
 
+/// How many are tried, beginning with any, when no other can be opened: who asks for it must not
+/// hold up everybody else.
+const LAST_PROBES: usize = 1024;
+
 /// Whose flow a (socket, server) serves: the client and where it sends to. Answers that come late,
 /// to a flow that was closed and opened again, leave from there too.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -50,6 +54,8 @@ pub(super) struct Upstreams {
 struct Socket {
     ipv4: bool,
     port: u16,
+    /// Its place among those that are open.
+    place: usize,
     /// Pairs in use or resting.
     pairs: u32,
 }
@@ -100,7 +106,7 @@ impl Upstreams {
             .home(owner, server)
             .or_else(|| self.probe(owner, server))
             .or_else(|| self.open(server, shell))
-            .or_else(|| self.open.iter().copied().find(|&id| self.may_use(id, owner, server)))?;
+            .or_else(|| self.search(owner, server))?;
         let used = Pair { owner, state: PairState::Used };
         let place = &mut self.sockets[socket.key()];
         if self.pairs.insert((socket, server), used).is_none() {
@@ -148,6 +154,7 @@ impl Upstreams {
             let pairs = self.pairs.keys().filter(|(id, _)| id.key() == key).count();
             assert_eq!(pairs, socket.pairs as usize);
             assert!(pairs > 0, "a socket that nothing needs is closed");
+            assert_eq!(self.open[socket.place].key(), key);
         }
         for (key, home) in &self.homes {
             let pairs = self.pairs.values().filter(|pair| pair.owner.home() == *key).count();
@@ -170,11 +177,18 @@ impl Upstreams {
         None
     }
 
+    fn search(&mut self, owner: Owner, server: SocketAddr) -> Option<UpstreamId> {
+        let (before, from) = self.open.split_at(self.random.usize(..=self.open.len()));
+        let mut sockets = from.iter().chain(before).copied().take(LAST_PROBES);
+        sockets.find(|&id| self.may_use(id, owner, server))
+    }
+
     fn open(&mut self, server: SocketAddr, shell: &mut impl Shell) -> Option<UpstreamId> {
         let place = self.sockets.vacant_entry();
         let socket = UpstreamId(u32::try_from(place.key()).ok()?);
         let port = shell.open_upstream(socket, server.is_ipv4())?;
-        place.insert(Socket { ipv4: server.is_ipv4(), port, pairs: 0 });
+        let (ipv4, at) = (server.is_ipv4(), self.open.len());
+        place.insert(Socket { ipv4, port, place: at, pairs: 0 });
         self.open.push(socket);
         Some(socket)
     }
@@ -201,8 +215,11 @@ impl Upstreams {
         let pairs = &mut self.sockets[socket.key()].pairs;
         *pairs -= 1;
         if *pairs == 0 {
-            self.sockets.remove(socket.key());
-            self.open.retain(|&id| id != socket);
+            let place = self.sockets.remove(socket.key()).place;
+            self.open.swap_remove(place);
+            if let Some(moved) = self.open.get(place) {
+                self.sockets[moved.key()].place = place;
+            }
             shell.close_upstream(socket);
         }
     }
