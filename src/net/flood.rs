@@ -19,7 +19,6 @@ pub(super) struct FloodGuard {
     filtered: usize,
     table: Arc<Table>,
     started: Instant,
-    notices: Complaints,
     complaints: Complaints,
 }
 
@@ -36,7 +35,6 @@ impl FloodGuard {
             filtered: 0,
             table,
             started,
-            notices: Complaints::default(),
             complaints: Complaints::default(),
         }
     }
@@ -60,7 +58,7 @@ impl FloodGuard {
             return self.complaints.note(&error, "cannot turn the prefilter on");
         }
         self.filtered += 1;
-        if self.notices.due(now) {
+        if self.complaints.due(now, "flood") {
             let net = &self.table.net(public.net).name;
             let public_port = self.table.mapping(public.mapping).public_port;
             tracing::warn!(%net, public_port, "flood: prefilter on");
@@ -73,6 +71,7 @@ impl FloodGuard {
             return;
         }
         for (id, public) in listeners.iter().filter(|(_, public)| public.socket.is_filtered()) {
+            public.account(); // before its 32 bits come round
             // A figure that cannot be read is read at the next look.
             let Ok(figure) = public.kernel_figure() else { continue };
             if !self.watches[id.0 as usize].over(figure) {
@@ -126,12 +125,12 @@ impl FloodGuard {
     }
 }
 
-/// Watches one public socket for a flood, to tell when the prefilter pays.
+/// Watches one socket for a flood, to tell when a filter in the kernel pays.
 #[derive(Debug, Default)]
-struct FloodWatch {
+pub(super) struct FloodWatch {
     /// Which tenth of a second it is, since the router's start.
     window: u64,
-    /// Datagrams in this window that the prefilter would have spared.
+    /// Datagrams in this window that a filter would have spared the worker.
     spared: usize,
     /// The kernel's figure at the last look.
     dropped: u32,
@@ -143,11 +142,11 @@ impl FloodWatch {
     const FLOOD: usize = 100;
     /// Fewer between two looks are quiet,
     const QUIET: u32 = 100;
-    /// and so many quiet looks are peace. The worker looks about once a second.
+    /// and so many quiet looks are peace. A worker looks about once a second.
     const QUIET_LOOKS: u32 = 10;
 
     /// Notes `spared` more datagrams, and tells whether a flood has begun.
-    fn flooded(&mut self, since_start: Duration, spared: usize) -> bool {
+    pub(super) fn flooded(&mut self, since_start: Duration, spared: usize) -> bool {
         let window = since_start.as_millis() as u64 / 100;
         if window != self.window {
             (self.window, self.spared) = (window, 0);
@@ -157,7 +156,7 @@ impl FloodWatch {
     }
 
     /// Takes the kernel's figure, and tells whether the flood is over.
-    fn over(&mut self, dropped: u32) -> bool {
+    pub(super) fn over(&mut self, dropped: u32) -> bool {
         let new = dropped.wrapping_sub(std::mem::replace(&mut self.dropped, dropped));
         self.quiet_looks = if new < Self::QUIET { self.quiet_looks + 1 } else { 0 };
         let over = self.quiet_looks >= Self::QUIET_LOOKS;

@@ -7,6 +7,7 @@ mod audit;
 #[allow(unsafe_code)]
 mod batch;
 mod bind;
+mod bpf;
 mod busy;
 mod complaints;
 mod descriptors;
@@ -20,6 +21,7 @@ mod router;
 #[allow(unsafe_code)]
 mod socket;
 mod steer;
+mod strays;
 mod tick;
 mod upstream;
 mod worker;

@@ -8,15 +8,17 @@ use std::io;
 
 use libc::{
     BPF_ABS, BPF_ADD, BPF_ALU, BPF_AND, BPF_B, BPF_IMM, BPF_IND, BPF_JA, BPF_JEQ, BPF_JGE, BPF_JGT,
-    BPF_JMP, BPF_JSET, BPF_K, BPF_LD, BPF_LDX, BPF_LEN, BPF_MEM, BPF_MISC, BPF_RET, BPF_ST,
-    BPF_SUB, BPF_TAX, BPF_W, BPF_X,
+    BPF_JMP, BPF_JSET, BPF_K, BPF_LD, BPF_LDX, BPF_LEN, BPF_MEM, BPF_MISC, BPF_ST, BPF_SUB,
+    BPF_TAX, BPF_W, BPF_X,
 };
-use socket2::{SockFilter, Socket};
+use socket2::Socket;
 
 use crate::relay::{Credential, DropReason, Net, NetId, Table};
 use crate::wire::{self, Header, Password};
 
-/// More passwords than that are not compared in the kernel: a program's jumps reach 255 steps.
+use super::bpf::{Program, To};
+
+/// More passwords than that are not compared in the kernel: a program is too long for them.
 const MOST_PASSWORDS: usize = 40;
 
 /// Offset of the datagram in what the program sees, which begins with the UDP header.
@@ -35,7 +37,7 @@ const DATA_SIZE: u32 = 0x3f;
 
 /// Has the kernel refuse on this socket what its net would refuse.
 pub(super) fn attach(socket: &Socket, table: &Table, net: NetId) -> io::Result<()> {
-    socket.attach_filter(&program(table.header, table.net(net)))
+    program(table.header, table.net(net)).attach(socket)
 }
 
 /// Lets everything through again.
@@ -55,21 +57,21 @@ pub(super) fn is_same(one: (&Table, NetId), other: (&Table, NetId)) -> bool {
         && net.credentials.iter().zip(&other_net.credentials).all(same)
 }
 
-/// Whether the prefilter would have spared the worker a datagram that was dropped for this reason.
-/// Most that are throttled go on to carry a wrong password.
+/// Whether the prefilter spares the worker most of the datagrams that are dropped for this reason.
+/// Whoever may not send, or is throttled, hardly ever has a password.
 pub(super) fn spares(reason: DropReason) -> bool {
     match reason {
         DropReason::TooShort
         | DropReason::TooLong
         | DropReason::BadHeader
+        | DropReason::BadRoute
+        | DropReason::RouteFormat
         | DropReason::BadLength
         | DropReason::PasswordMissing
+        | DropReason::SourceNotAllowed
         | DropReason::Throttled
         | DropReason::PasswordWrong => true,
-        DropReason::BadRoute
-        | DropReason::RouteFormat
-        | DropReason::SourceNotAllowed
-        | DropReason::Broadcast
+        DropReason::Broadcast
         | DropReason::NodeMismatch
         | DropReason::RequestLimit
         | DropReason::FlowLimit
@@ -80,51 +82,10 @@ pub(super) fn spares(reason: DropReason) -> bool {
     }
 }
 
-/// Where a step leads. By name until the whole program is known.
-#[derive(Clone, Copy)]
-enum To {
-    Next,
-    /// So many steps behind the next one.
-    Skip(u8),
-    Accept,
-    Refuse,
-}
-
-/// A program in the making.
-#[derive(Default)]
-struct Program(Vec<(u32, u32, To, To)>);
-
-impl Program {
-    fn step(&mut self, code: u32, k: u32) {
-        self.0.push((code, k, To::Next, To::Next));
-    }
-
-    /// Goes on one way where a comparison of the accumulator with `k` holds, and another where not.
-    fn compare(&mut self, comparison: u32, k: u32, holds: To, fails: To) {
-        self.0.push((BPF_JMP | comparison | BPF_K, k, holds, fails));
-    }
-
-    /// The program with its two ends.
-    fn finish(self) -> Vec<SockFilter> {
-        let refuse = self.0.len();
-        let target = |place: usize, to: To| match to {
-            To::Next => 0,
-            To::Skip(steps) => steps,
-            To::Refuse => (refuse - place - 1) as u8,
-            To::Accept => (refuse - place) as u8,
-        };
-        let steps = self.0.iter().enumerate().map(|(place, &(code, k, holds, fails))| {
-            SockFilter::new(code as u16, target(place, holds), target(place, fails), k)
-        });
-        let end = |octets| SockFilter::new((BPF_RET | BPF_K) as u16, 0, 0, octets);
-        steps.chain([end(0), end(u32::MAX)]).collect()
-    }
-}
-
-fn program(header: Header, net: &Net) -> Vec<SockFilter> {
+fn program(header: Header, net: &Net) -> Program {
     let shortest =
         if net.allow_without_password { wire::MIN_DATAGRAM } else { wire::MIN_SECURE_DATAGRAM };
-    let mut program = Program::default();
+    let mut program = Program::new();
     // Length of the datagram; kept in M[0].
     program.step(BPF_LD | BPF_W | BPF_LEN, 0);
     program.step(BPF_ALU | BPF_SUB | BPF_K, DATAGRAM);
@@ -164,7 +125,7 @@ fn program(header: Header, net: &Net) -> Vec<SockFilter> {
     }
     if net.credentials.len() > MOST_PASSWORDS {
         program.compare(BPF_JEQ, PASSWORD, To::Accept, To::Refuse);
-        return program.finish();
+        return program;
     }
     program.compare(BPF_JEQ, PASSWORD, To::Next, To::Refuse);
     for credential in &net.credentials {
@@ -175,7 +136,7 @@ fn program(header: Header, net: &Net) -> Vec<SockFilter> {
         program.compare(BPF_JEQ, u32::from_be_bytes([e, f, g, h]), To::Accept, To::Next);
     }
     // No password fits: on to the end that refuses.
-    program.finish()
+    program
 }
 
 #[cfg(test)]
@@ -225,7 +186,7 @@ mod tests {
             outside.connect(inside.local_addr().unwrap()).unwrap();
             inside.set_nonblocking(true).unwrap();
             let inside = Socket::from(inside);
-            inside.attach_filter(&program(Header::default(), net)).unwrap();
+            program(Header::default(), net).attach(&inside).unwrap();
             Self { inside: inside.into(), outside }
         }
 

@@ -73,9 +73,10 @@ impl NetDrops {
         }
     }
 
-    /// Adds datagrams that a full buffer had no room for.
-    pub(super) fn add_overflow(&self, datagrams: u32) {
-        self.overflow.fetch_add(datagrams.into(), Relaxed);
+    /// Adds datagrams that the kernel dropped on a socket, with a filter on it or without.
+    pub(super) fn add(&self, datagrams: u32, filtered: bool) {
+        let counter = if filtered { &self.prefilter } else { &self.overflow };
+        counter.fetch_add(datagrams.into(), Relaxed);
     }
 }
 
@@ -122,9 +123,7 @@ impl Listener {
         // A figure that cannot be read now is read the next time.
         let Ok(now) = self.kernel_figure() else { return };
         let new = now.wrapping_sub(std::mem::replace(&mut *seen, now));
-        let NetDrops { overflow, prefilter } = &*self.drops;
-        let counter = if self.socket.is_filtered() { prefilter } else { overflow };
-        counter.fetch_add(u64::from(new), Relaxed);
+        self.drops.add(new, self.socket.is_filtered());
     }
 }
 

@@ -7,17 +7,20 @@ use std::io;
 use std::mem;
 use std::os::fd::{AsFd, BorrowedFd};
 use std::sync::Arc;
+use std::time::Instant;
 
 use nix::sys::epoll::Epoll;
 use socket2::Socket;
 
+use crate::config::{Prefilter, Runtime};
 use crate::relay::{CloseReason, FlowRecord, MappingId, Shell, Table, Throttled, UpstreamId};
 
 use super::audit::Audit;
 use super::complaints::Complaints;
+use super::flood::FloodWatch;
 use super::place::Place;
 use super::public::NetDrops;
-use super::socket;
+use super::{socket, strays};
 
 /// The upstream sockets, and with them the core's [`Shell`].
 pub(super) struct UpstreamSockets {
@@ -28,17 +31,24 @@ pub(super) struct UpstreamSockets {
     flows_closed: usize,
     limit: usize,
     receive_buffer: usize,
+    /// Whether the kernel may refuse strays.
+    filters: bool,
     table: Arc<Table>,
     audit: Arc<Audit>,
     drops: Arc<NetDrops>,
+    started: Instant,
     complaints: Complaints,
 }
 
 #[derive(Debug)]
 struct Upstream {
     socket: Socket,
+    ipv4: bool,
     /// What of the kernel's figure of drops is accounted for.
     seen: u32,
+    strays: FloodWatch,
+    /// The kernel refuses strays.
+    filtered: bool,
 }
 
 impl UpstreamSockets {
@@ -46,7 +56,8 @@ impl UpstreamSockets {
     pub(super) fn new(
         epoll: Arc<Epoll>,
         limit: usize,
-        receive_buffer: usize,
+        runtime: &Runtime,
+        started: Instant,
         table: Arc<Table>,
         audit: Arc<Audit>,
         drops: Arc<NetDrops>,
@@ -57,21 +68,32 @@ impl UpstreamSockets {
             open: 0,
             flows_closed: 0,
             limit,
-            receive_buffer,
+            receive_buffer: runtime.receive_buffer,
+            filters: runtime.prefilter != Prefilter::Off,
             table,
             audit,
             drops,
+            started,
             complaints: Complaints::default(),
         }
     }
 
     /// Goes over to another configuration. Sockets beyond a lower limit stay open.
-    pub(super) fn reload(&mut self, limit: usize, receive_buffer: usize, table: Arc<Table>) {
+    pub(super) fn reload(&mut self, limit: usize, runtime: &Runtime, table: Arc<Table>) {
+        let receive_buffer = runtime.receive_buffer;
         if receive_buffer != self.receive_buffer {
             for upstream in self.sockets.iter().flatten() {
                 if let Err(error) = upstream.socket.set_recv_buffer_size(receive_buffer) {
                     self.complaints.note(&error, "cannot change a receive buffer");
                 }
+            }
+        }
+        self.filters = runtime.prefilter != Prefilter::Off;
+        for upstream in self.sockets.iter_mut().flatten().filter(|upstream| upstream.filtered) {
+            // It never refuses what a server of the new table sends.
+            let kept = self.filters && upstream.filter(true, &table, &self.drops).is_ok();
+            if !kept && let Err(error) = upstream.filter(false, &table, &self.drops) {
+                self.complaints.note(&error, "cannot let strays through");
             }
         }
         (self.limit, self.receive_buffer, self.table) = (limit, receive_buffer, table);
@@ -87,9 +109,38 @@ impl UpstreamSockets {
         Some(self.sockets.get(id.0 as usize)?.as_ref()?.socket.as_fd())
     }
 
-    /// Adds up what the kernel dropped since the last call. To be called about once a second.
+    /// Notes answers that nobody waits for, and has the kernel refuse strays where they are a flood.
+    pub(super) fn note_strays(&mut self, id: UpstreamId, now: Instant, strays: usize) {
+        let Some(Some(upstream)) = self.sockets.get_mut(id.0 as usize) else { return };
+        let since_start = now.saturating_duration_since(self.started);
+        if !self.filters
+            || !upstream.ipv4 // single servers alone, and few
+            || upstream.filtered
+            || !upstream.strays.flooded(since_start, strays)
+        {
+            return;
+        }
+        match upstream.filter(true, &self.table, &self.drops) {
+            Err(error) => self.complaints.note(&error, "cannot refuse strays"),
+            Ok(()) if self.complaints.due(now, "flood") => {
+                tracing::warn!("flood of what no server sent: refused by the kernel");
+            }
+            Ok(()) => {}
+        }
+    }
+
+    /// Adds up what the kernel dropped since the last call, and lets everything through where a
+    /// flood is over. To be called about once a second.
     pub(super) fn account(&mut self) {
-        self.sockets.iter_mut().flatten().for_each(|upstream| upstream.account(&self.drops));
+        for upstream in self.sockets.iter_mut().flatten() {
+            upstream.account(&self.drops);
+            if upstream.filtered
+                && upstream.strays.over(upstream.seen)
+                && let Err(error) = upstream.filter(false, &self.table, &self.drops)
+            {
+                self.complaints.note(&error, "cannot let strays through");
+            }
+        }
     }
 
     fn open(&mut self, id: UpstreamId, ipv4: bool) -> io::Result<u16> {
@@ -99,7 +150,13 @@ impl UpstreamSockets {
         if self.sockets.len() <= index {
             self.sockets.resize_with(index + 1, || None);
         }
-        self.sockets[index] = Some(Upstream { socket, seen: 0 });
+        self.sockets[index] = Some(Upstream {
+            socket,
+            ipv4,
+            seen: 0,
+            strays: FloodWatch::default(),
+            filtered: false,
+        });
         self.open += 1;
         Ok(port)
     }
@@ -109,7 +166,19 @@ impl Upstream {
     fn account(&mut self, drops: &NetDrops) {
         // A figure that cannot be read now is read the next time.
         let Ok(now) = socket::kernel_drops(&self.socket) else { return };
-        drops.add_overflow(now.wrapping_sub(mem::replace(&mut self.seen, now)));
+        drops.add(now.wrapping_sub(mem::replace(&mut self.seen, now)), self.filtered);
+    }
+
+    /// Has the kernel refuse strays, by the servers of `table`, or let everything through.
+    fn filter(&mut self, on: bool, table: &Table, drops: &NetDrops) -> io::Result<()> {
+        self.account(drops); // what was dropped so far belongs to the way it was so far
+        if on {
+            strays::attach(&self.socket, table)?;
+        } else {
+            self.socket.detach_filter()?;
+        }
+        self.filtered = on;
+        Ok(())
     }
 }
 

@@ -16,7 +16,8 @@ use nix::sys::eventfd::EventFd;
 
 use crate::config::Runtime;
 use crate::relay::{
-    Arrival, Core, Counters, Direction, FlowRecord, ListenerId, Rules, Table, UpstreamId,
+    Arrival, Core, Counters, Direction, DropReason, FlowRecord, ListenerId, Rules, Table,
+    UpstreamId,
 };
 
 use super::audit::Audit;
@@ -125,7 +126,8 @@ impl Worker {
             upstream: UpstreamSockets::new(
                 Arc::clone(&parts.epoll),
                 parts.upstream_limit,
-                parts.runtime.receive_buffer,
+                &parts.runtime,
+                parts.started,
                 parts.table,
                 parts.audit,
                 parts.upstream_drops,
@@ -237,15 +239,22 @@ impl Worker {
             self.complaints.note(&error, "cannot receive from the servers");
             0
         });
+        let mut strays = 0;
         for index in 0..received {
             let Some(incoming) = self.batch.incoming(index) else { continue };
             let (slot, octets) = (incoming.slot, incoming.octets.len());
-            if let Ok(to) = self.core.response(now, id, incoming.from, incoming.octets) {
-                let tag = Tag { mapping: to.mapping, direction: Direction::Response, octets };
-                let own = self.listeners.get(to.via).and_then(Listener::own_address);
-                let from = own.is_none().then_some(to.public_address);
-                self.batch.queue(slot, Place::Public(to.via).key(), from, to.client, tag);
+            match self.core.response(now, id, incoming.from, incoming.octets) {
+                Ok(to) => {
+                    let tag = Tag { mapping: to.mapping, direction: Direction::Response, octets };
+                    let own = self.listeners.get(to.via).and_then(Listener::own_address);
+                    let from = own.is_none().then_some(to.public_address);
+                    self.batch.queue(slot, Place::Public(to.via).key(), from, to.client, tag);
+                }
+                Err(reason) => strays += usize::from(reason == DropReason::UnknownFlow),
             }
+        }
+        if strays > 0 {
+            self.upstream.note_strays(id, now, strays);
         }
         received
     }
@@ -329,7 +338,7 @@ impl Worker {
         self.floods.reload(runtime.prefilter, Arc::clone(&table), &before, after);
         let new = after.iter().filter(|&(id, _)| !after.keeps(id, &before));
         self.unfinished.extend(new.map(|(id, _)| Place::Public(id)));
-        self.upstream.reload(upstream_limit, runtime.receive_buffer, table);
+        self.upstream.reload(upstream_limit, &runtime, table);
         self.busy = BusyPoll::new(runtime.busy_poll);
         Reloaded { counters, flows_closed }
     }

@@ -2,6 +2,7 @@
 
 use crate::harness::{
     FIGURE_10, Relay, SECOND, Settings, Site, WRONG, datagram, eventually, exchange, request,
+    response,
 };
 
 const KERNEL: &str = "pnet_nat_kernel_dropped_datagrams_total";
@@ -108,6 +109,26 @@ file = "secrets/press"
     relay.finish();
 }
 
+/// Of datagrams that fail otherwise, or come from where nobody may send from.
+#[test]
+fn floods_of_other_kinds_are_refused_too() {
+    let simple = [&[2, 0, 0, 0, 4, 0x83, 2, 0][..], WRONG].concat();
+    let wrong = datagram(&FIGURE_10, &[1, 2, 3], WRONG);
+    for (octets, stranger) in [(simple, true), (wrong, false)] {
+        let (site, elsewhere) = (Site::claim(), Site::claim());
+        let relay = site.relay(Settings::default());
+        let (client, node) = (site.client(), site.node(4));
+        let flooder = if stranger { site.client() } else { elsewhere.client() };
+        eventually("the kernel refuses", || {
+            (0..20).for_each(|_| flooder.send(site.public(4), &octets));
+            (relay.metrics().sum(KERNEL, &[("cause", "prefilter")]) > 0).then_some(())
+        });
+        exchange(&client, site.public(4), &node, 4);
+        assert_eq!(flooder.waiting(), None, "a stranger is answered");
+        relay.finish();
+    }
+}
+
 /// Then a mistyped password is told from noise again.
 #[test]
 fn the_prefilter_goes_when_the_flood_is_over() {
@@ -125,4 +146,42 @@ fn the_prefilter_goes_when_the_flood_is_over() {
         (relay.metrics().drops()[&reason] == before[&reason] + 1).then_some(())
     });
     relay.finish();
+}
+
+/// Towards the plant: what no server sent is refused by the kernel, and answers go on.
+#[test]
+fn a_flood_of_strays_at_an_upstream_port_is_refused_by_the_kernel() {
+    let (site, elsewhere) = (Site::claim(), Site::claim());
+    let relay = site.relay(Settings::default());
+    let (client, node) = (site.client(), site.node(4));
+    client.send(site.public(4), &request(4));
+    let from_relay = node.expect(&request(4));
+
+    let stranger = elsewhere.client();
+    let upstream = [("net", "none"), ("cause", "prefilter")];
+    let mut sent = 0;
+    eventually("the kernel refuses", || {
+        for _ in 0..20 {
+            stranger.send(from_relay, &response(4));
+            sent += 1;
+        }
+        (relay.metrics().sum(KERNEL, &upstream) > 0).then_some(())
+    });
+    node.send(from_relay, &response(4));
+    client.expect(&response(4));
+    exchange(&client, site.public(4), &node, 4);
+
+    // A reload changes the program: the node is a server of another table.
+    let all = site.configuration(&Settings::default());
+    relay.reload_to(&all.replace("\"1-4\", 33", "\"4\""));
+    exchange(&client, site.public(4), &node, 4);
+    stranger.send(from_relay, &response(4));
+    sent += 1;
+    eventually("every one is counted", || {
+        let metrics = relay.metrics();
+        let seen: u64 = metrics.drops().values().sum();
+        (seen + metrics.sum(KERNEL, &[("net", "none")]) == sent).then_some(())
+    });
+    let log = relay.finish();
+    assert_eq!(log.logged("flood of what no server sent: refused by the kernel").len(), 1);
 }
