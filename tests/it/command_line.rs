@@ -1,13 +1,10 @@
 //! What a package and a terminal see of the command line: version, completions, manual, colours.
 
 use std::fs;
-use std::io::Read;
 use std::path::Path;
-use std::process::{Command, Stdio};
+use std::process::Command;
 
-use nix::pty::openpty;
-
-use crate::harness::{Process, left_out, pnet_nat};
+use crate::harness::{Process, Terminal, left_out, pnet_nat};
 
 fn stdout(arguments: &[&str]) -> String {
     let mut process = Process::start(pnet_nat(arguments));
@@ -125,26 +122,9 @@ fn every_command_has_a_manual_page_without_faults() {
 
 /// What a command writes to a terminal.
 fn on_a_terminal(arguments: &[&str], no_color: &str) -> String {
-    let terminal = openpty(None, None).unwrap();
-    let slave = || Stdio::from(terminal.slave.try_clone().unwrap());
-    let mut command = pnet_nat(arguments);
-    command.env("TERM", "xterm").env("NO_COLOR", no_color).env_remove("CLICOLOR");
-    command.env_remove("CLICOLOR_FORCE").stdin(Stdio::null()).stdout(slave()).stderr(slave());
-    let mut child = command.spawn().unwrap();
-    drop(command);
-    drop(terminal.slave);
-    let mut written = Vec::new();
-    // It ends with an error as soon as nobody can write to it any more.
-    let _ = std::fs::File::from(terminal.master).read_to_end(&mut written);
-    assert!(child.wait().unwrap().success());
-    String::from_utf8(written).unwrap()
-}
-
-/// Whether a text has colours, bold and the like: `ESC [ numbers m`.
-fn has_colours(text: &str) -> bool {
-    text.split("\x1b[").skip(1).any(|sequence| {
-        sequence.trim_start_matches(|c: char| c.is_ascii_digit() || c == ';').starts_with('m')
-    })
+    let mut terminal = Terminal::start(pnet_nat(arguments).env("NO_COLOR", no_color));
+    assert_eq!(terminal.end(), Some(0));
+    terminal.text()
 }
 
 #[test]
@@ -152,8 +132,8 @@ fn no_color_is_heeded_by_help_log_and_tables() {
     let demo = ["demo", "--seconds", "1", "--log-level", "info"];
     for arguments in [&["--help"][..], &demo] {
         let (usual, plain) = (on_a_terminal(arguments, ""), on_a_terminal(arguments, "1"));
-        assert!(has_colours(&usual), "{arguments:?}: {usual:?}");
-        assert!(!has_colours(&plain), "{arguments:?}: {plain:?}");
+        assert!(Terminal::has_colours(&usual), "{arguments:?}: {usual:?}");
+        assert!(!Terminal::has_colours(&plain), "{arguments:?}: {plain:?}");
         assert!(plain.contains("pnet-nat"), "{plain:?}");
     }
 }

@@ -1,10 +1,16 @@
 //! `pnet-nat status`: a relay seen from the terminal.
 
+use std::fs;
+use std::io::{BufRead, BufReader, Write};
+use std::net::TcpListener;
+use std::process::Command;
+use std::thread;
+
 use nix::sys::signal::Signal;
 use serde_json::Value;
 
 use crate::harness::{
-    Process, Relay, Settings, Site, WRONG, eventually, exchange, pnet_nat, request,
+    Process, Relay, Settings, Site, Terminal, WRONG, eventually, exchange, pnet_nat, request,
 };
 
 /// Exit code, stdout and stderr.
@@ -91,6 +97,145 @@ fn it_is_shown_again_and_again_until_it_is_told_to_end() {
     assert!(!watch.has_ended());
     watch.signal(Signal::SIGINT);
     assert_eq!(watch.end(), Some(0));
+}
+
+/// `status --watch` of a site, as a command.
+fn watching(site: &Site, arguments: &[&str]) -> Command {
+    let url = format!("http://{}", site.admin());
+    pnet_nat(&[&["status", "--url", &url, "--watch", "50ms"], arguments].concat())
+}
+
+#[test]
+fn a_terminal_shows_each_look_in_place_of_the_one_before() {
+    let site = Site::claim();
+    let relay = site.relay(Settings::default());
+    site.client().send(site.public(3), &request(3));
+    let mut coloured = Terminal::start(&mut watching(&site, &[]));
+    let mut plain = Terminal::start(watching(&site, &[]).env("NO_COLOR", "1"));
+    for terminal in [&mut coloured, &mut plain] {
+        eventually("it is shown twice, and node 3 is silent", || {
+            let text = terminal.text();
+            (text.contains("| silent ") && text.matches("\x1b[H").count() > 2).then_some(())
+        });
+        terminal.signal(Signal::SIGINT);
+        assert_eq!(terminal.end(), Some(0));
+        for look in terminal.text().split("\x1b[H").skip(1) {
+            assert!(look.starts_with("\x1b[?7l") && look.contains("\x1b[?7h"), "{look:?}");
+            assert!(look.lines().count() <= 24, "{look:?}");
+        }
+    }
+    assert!(coloured.text().contains("\x1b[31m| section-1 |    3 |"), "{}", coloured.text());
+    assert!(!Terminal::has_colours(&plain.text()), "{}", plain.text());
+
+    let mut json = Terminal::start(&mut watching(&site, &["--format", "json"]));
+    eventually("two lines", || (json.text().lines().count() > 2).then_some(()));
+    json.signal(Signal::SIGINT);
+    assert_eq!(json.end(), Some(0));
+    for line in json.text().lines() {
+        let line: Value = serde_json::from_str(line).expect(line);
+        assert_eq!(line["nets"][0]["name"], "section-1");
+    }
+    relay.finish();
+}
+
+#[test]
+fn a_file_gets_the_whole_table_also_when_a_terminal_is_there() {
+    let site = Site::claim();
+    let mut configuration = site.configuration(&Settings::default());
+    configuration = configuration.replace("\"1-4\", 33", "\"1-60\"");
+    let relay = Relay::start(&configuration, site.admin(), None);
+    let log = relay.folder.path().join("log");
+    let inner = watching(&site, &[]);
+    let mut command = Command::new("sh");
+    command.args(["-c", "exec \"$0\" \"$@\" > \"$LOG\""]).env("LOG", &log);
+    command.arg(inner.get_program()).args(inner.get_args());
+    let mut terminal = Terminal::start(&mut command);
+    let text = eventually("it is shown twice", || {
+        let text = fs::read_to_string(&log).ok()?;
+        (text.matches("Nothing was dropped.").count() > 1).then_some(text)
+    });
+    terminal.signal(Signal::SIGINT);
+    assert_eq!((terminal.end(), terminal.text().as_str()), (Some(0), ""));
+    assert!(!text.contains('\x1b'), "{text:?}");
+    assert_eq!(row(&text, &["section-1", "60"])[2], "never asked");
+    relay.finish();
+}
+
+#[test]
+fn of_many_nodes_the_silent_ones_are_shown_or_all() {
+    let site = Site::claim();
+    let mut configuration = site.configuration(&Settings::default());
+    configuration = configuration.replace("\"1-4\", 33", "\"1-125\"");
+    let relay = Relay::start(&configuration, site.admin(), None);
+    let (_, table, _) = status(&site, &[]);
+    assert!(table.contains("Of 125 nodes none is silent; --full shows them."), "{table}");
+    let (_, table, _) = status(&site, &["--full"]);
+    assert_eq!(row(&table, &["section-1", "125"])[2], "never asked");
+    site.client().send(site.public(3), &request(3));
+    let table = eventually("node 3 is silent", || {
+        let (_, table, _) = status(&site, &[]);
+        table.contains("The silent of 125 nodes, 1; --full shows all.").then_some(table)
+    });
+    assert_eq!(row(&table, &["section-1", "3"])[2], "silent");
+    assert!(!table.contains("| never asked |"), "{table}");
+    relay.finish();
+}
+
+#[test]
+fn a_failed_reload_and_a_relay_that_stops_are_shown() {
+    let site = Site::claim();
+    let runtime = "workers = 1\ndrain = \"20s\"";
+    let mut relay = site.relay(Settings { runtime, ..Settings::default() });
+    let (_, table, _) = status(&site, &[]);
+    assert!(table.contains("\nLast reload successful; "), "{table}");
+    relay.configure("[public]");
+    relay.reload();
+    let (code, table, _) = status(&site, &[]);
+    assert!(table.contains("\nLast reload failed; "), "{table}");
+    assert!(!table.contains("It is not relaying") && code == Some(0), "{table}");
+
+    let (client, node) = (site.client(), site.node(4));
+    client.send(site.public(4), &request(4));
+    let from_relay = node.expect(&request(4));
+    relay.process.signal(Signal::SIGTERM); // it waits for the answer
+    eventually("it stops", || {
+        let (code, table, _) = status(&site, &[]);
+        assert_eq!(code, Some(0), "{table}");
+        table.contains("\nIt is not relaying: it starts or stops.\n").then_some(())
+    });
+    node.send(from_relay, &request(4));
+    assert_eq!(relay.process.end(), Some(0));
+}
+
+#[test]
+fn an_interrupt_ends_it_while_nobody_answers() {
+    let site = Site::claim();
+    let listener = TcpListener::bind(site.admin()).unwrap();
+    let mut watch = Process::start(watching(&site, &["--timeout", "10m"]));
+    let (_never_answered, _) = listener.accept().unwrap();
+    watch.signal(Signal::SIGINT);
+    assert_eq!(watch.end(), Some(0));
+}
+
+#[test]
+fn what_is_no_relay_is_told_apart() {
+    let site = Site::claim();
+    let listener = TcpListener::bind(site.admin()).unwrap();
+    for answer in ["[]", "\"nets\"", "null", "7", "{}", "<html>"] {
+        thread::scope(|scope| {
+            scope.spawn(|| {
+                let (mut stream, _) = listener.accept().unwrap();
+                let lines = BufReader::new(&stream).lines().map_while(Result::ok);
+                lines.take_while(|line| !line.is_empty()).for_each(drop);
+                let length = answer.len();
+                write!(stream, "HTTP/1.1 200 OK\r\ncontent-length: {length}\r\n\r\n{answer}")
+                    .unwrap();
+            });
+            let (code, stdout, error) = status(&site, &["--format", "json"]);
+            assert_eq!((code, stdout.as_str()), (Some(1), ""), "{answer}");
+            assert!(error.contains("is not the API of a pnet-nat"), "{answer}: {error}");
+        });
+    }
 }
 
 #[test]
