@@ -54,7 +54,7 @@ fn nets_nodes_and_drops_are_shown() {
     assert_eq!(row(&table, &["section-1", "4", "answering"])[3..5], ["3", "3"]);
     assert_eq!(row(&table, &["section-1", "33", "never asked"])[3..5], ["0", "0"]);
     assert!(row(&table, &["password_wrong", "1"])[2].contains("someone who guesses"));
-    assert!(table.contains("Wrong passwords came from 1 address."), "{table}");
+    assert!(table.contains("\nA silent node: ping its server from the router."), "{table}");
     assert!(!table.contains('\x1b'), "no colour where there is no terminal");
 
     let (code, json, _) = status(&site, &["--format", "json", "--net", "section-1"]);
@@ -80,13 +80,19 @@ fn it_is_shown_again_and_again_until_it_is_told_to_end() {
         "--net",
         "section-1",
     ]));
-    eventually("a rate is seen", || {
+    let is_rate = |rate: Option<&str>| rate > Some("0.0");
+    eventually("a rate is seen, also of what is dropped", || {
         exchange(&client, site.public(4), &node, 4);
+        client.send(site.public(4), b"noise");
         let stdout = watch.stdout();
         let rated = stdout.contains("Requests/s")
             && stdout.lines().any(|line| {
                 let rate = line.split('|').nth(4).map(str::trim);
-                line.starts_with("| section-1 |    4 |") && rate > Some("0.0")
+                line.starts_with("| section-1 |    4 |") && is_rate(rate)
+            })
+            && stdout.lines().any(|line| {
+                let rate = line.split('|').nth(3).map(str::trim);
+                line.starts_with("| too_short ") && is_rate(rate)
             });
         rated.then_some(())
     });
@@ -97,6 +103,53 @@ fn it_is_shown_again_and_again_until_it_is_told_to_end() {
     assert!(!watch.has_ended());
     watch.signal(Signal::SIGINT);
     assert_eq!(watch.end(), Some(0));
+}
+
+/// Of a net alone there is nothing that belongs to another, or to none.
+#[test]
+fn what_the_kernel_dropped_is_shown_and_a_net_has_its_own() {
+    let site = Site::claim();
+    let runtime = "workers = 1\nreceive_buffer = 4096\ndrain = \"100ms\"";
+    let section = "[[server]]\nname = \"press\"\npublic_port = PORT\naddress = \"SERVER:34379\"\n\
+                   node = 7\nallow = [\"NET/24\"]\n[[server.password]]\nname = \"service\"\n\
+                   file = \"secrets/press\"";
+    let section = section
+        .replace("PORT", &(site.start_port() + 100).to_string())
+        .replace("SERVER", &site.address(7).to_string())
+        .replace("NET", &site.address(0).to_string());
+    let relay = site.relay(Settings { runtime, sections: &section, ..Settings::default() });
+    let (client, node) = (site.client(), site.node(4));
+    client.send(site.public(4), &request(4));
+    let upstream = node.expect(&request(4));
+    let wrong = request(4);
+    let wrong = [&wrong[..wrong.len() - WRONG.len()], WRONG].concat();
+    client.send(site.public(4), &wrong);
+    relay.expect_drops(&[("request", "password_wrong", 1)]);
+    relay.process.hold();
+    for _ in 0..1000 {
+        client.send(site.public(4), &wrong);
+        node.send(upstream, &request(4));
+    }
+    relay.process.go_on();
+
+    let all = eventually("both are counted", || {
+        let (_, all, _) = status(&site, &[]);
+        (all.contains("kernel: overflow") && all.contains("kernel: upstream overflow"))
+            .then_some(all)
+    });
+    let why = row(&all, &["kernel: overflow"]);
+    assert!(why[1].parse::<u32>().unwrap() > 100, "{why:?}");
+    assert!(why[2].contains("Raise receive_buffer"), "{why:?}");
+    assert!(row(&all, &["kernel: upstream overflow"])[2].starts_with("Answers of servers"));
+    assert!(all.contains("\nFlows: 1 of "), "{all}");
+    assert!(all.contains("Wrong passwords came from 1 address."), "{all}");
+
+    let (_, one, _) = status(&site, &["--net", "section-1"]);
+    assert!(one.contains("| kernel: overflow ") && !one.contains("upstream overflow"), "{one}");
+    assert!(one.contains("Wrong passwords came from 1 address."), "{one}");
+    let (_, other, _) = status(&site, &["--net", "press"]);
+    assert!(other.contains("Nothing was dropped.") && !other.contains("Wrong pass"), "{other}");
+    assert!(!other.contains("Flows:"), "{other}");
 }
 
 /// `status --watch` of a site, as a command.
@@ -169,6 +222,7 @@ fn of_many_nodes_the_silent_ones_are_shown_or_all() {
     let relay = Relay::start(&configuration, site.admin(), None);
     let (_, table, _) = status(&site, &[]);
     assert!(table.contains("Of 125 nodes none is silent; --full shows them."), "{table}");
+    assert!(!table.contains("A silent node:"), "{table}");
     let (_, table, _) = status(&site, &["--full"]);
     assert_eq!(row(&table, &["section-1", "125"])[2], "never asked");
     site.client().send(site.public(3), &request(3));

@@ -11,12 +11,6 @@ const STATES = {
   silent: ["▲", "silent"],
   never_asked: ["○", "never asked"],
 };
-const KERNEL_CAUSES = {
-  overflow:
-    "Never seen by the relay: a receive buffer was full. Raise receive_buffer, add workers.",
-  prefilter:
-    "Refused by the kernel for their length, header or password, while a public port was flooded, or with prefilter = \"always\" from the start on.",
-};
 
 // ── Asking ──────────────────────────────────────────────────────────────────────────────────────
 
@@ -206,6 +200,12 @@ function drops(...directions) {
   }
   return sums;
 }
+
+/** What the kernel dropped, by the names that `reasons` has for it. */
+const named = (place, causes) => ({
+  dropped_datagrams: Object.fromEntries(
+    Object.entries(causes).map(([cause, count]) => [place + cause, count])),
+});
 
 const total = (counts) => Object.values(counts).reduce((a, b) => a + b, 0);
 
@@ -431,24 +431,18 @@ function showTiles(time, status, states, dropped) {
   TILES.passwords.add(time, wrongRate);
 }
 
-function showDrops(time, dropped, kernel) {
+function showDrops(time, dropped) {
   const rates = new Map();
-  for (const reason of Object.keys(reasons)) rates.set(reason, dropped[reason] ?? 0);
-  for (const [cause, count] of Object.entries(kernel)) rates.set(`kernel: ${cause}`, count);
-  for (const [reason, count] of rates) {
+  for (const reason of Object.keys(reasons)) {
     if (!REASON_RATES.has(reason)) REASON_RATES.set(reason, new Rate());
-    rates.set(reason, REASON_RATES.get(reason).add(time, count));
+    rates.set(reason, REASON_RATES.get(reason).add(time, dropped[reason] ?? 0));
   }
-  const rows = [
-    ...Object.entries(dropped).map(([reason, count]) => [reason, count, reasons[reason]]),
-    ...Object.entries(kernel).filter(([, count]) => count)
-      .map(([cause, count]) => [`kernel: ${cause}`, count, KERNEL_CAUSES[cause]]),
-  ].sort(([, a], [, b]) => b - a);
+  const rows = Object.entries(dropped).filter(([, count]) => count).sort(([, a], [, b]) => b - a);
   $("no-drops").hidden = rows.length > 0;
   $("drops").hidden = rows.length === 0;
   const body = $("drops").tBodies[0];
   while (body.rows.length > rows.length) body.lastChild.remove();
-  for (const [i, [reason, count, why]] of rows.entries()) {
+  for (const [i, [reason, count]] of rows.entries()) {
     if (!body.rows[i]) {
       body.append(make("tr", {}, make("th", { scope: "row" }, make("code")),
         make("td", { class: "number" }), make("td", { class: "number" }), make("td")));
@@ -456,8 +450,8 @@ function showDrops(time, dropped, kernel) {
     const [name, sum, perSecond, meaning] = body.rows[i].cells;
     write(name.firstChild, reason);
     write(sum, whole.format(count));
-    write(perSecond, rate(rates.get(reason)));
-    write(meaning, (why ?? "").replaceAll("`", ""));
+    write(perSecond, rate(rates.get(reason) ?? null));
+    write(meaning, (reasons[reason] ?? "").replaceAll("`", ""));
   }
 }
 
@@ -554,11 +548,13 @@ async function poll() {
   $("token-form").hidden = true;
   const dropped = drops(status.stray_responses,
     ...states.flatMap(({ request, response }) => [request, response]));
-  const kernel = drops(...states.map((net) => ({ dropped_datagrams: net.kernel_dropped_datagrams })));
+  const kernel = drops(
+    ...states.map((net) => named("kernel: ", net.kernel_dropped_datagrams)),
+    named("kernel: upstream ", status.upstream_kernel_dropped_datagrams));
   showBanner(status, states, null);
   showTiles(time, status, states, dropped);
   showNets(time, states, status);
-  showDrops(time, dropped, kernel);
+  showDrops(time, { ...dropped, ...kernel });
   showRelay(status);
   for (const net of nets.values()) {
     if (net.details.open && net.inSight) await net.look();

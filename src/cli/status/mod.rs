@@ -95,7 +95,7 @@ pub(super) fn run(args: Args) -> anyhow::Result<ExitCode> {
     let Some(interval) = args.watch else {
         let text = match args.format {
             Format::Json => format!("{}\n", relay.ask()?),
-            Format::Text => paper(args.full).draw(&Seen::read(relay.ask()?)?, None, &relay.url),
+            Format::Text => paper(args.full).draw(&relay.read(relay.ask()?)?, None, &relay.url),
         };
         stdout().write_all(text.as_bytes())?;
         return Ok(ExitCode::SUCCESS);
@@ -121,7 +121,7 @@ async fn watch(args: &Args, relay: Arc<Relay>, interval: Duration) -> anyhow::Re
         let text = match (answer, args.format) {
             (Ok(answer), Format::Json) => format!("{answer}\n"),
             (Ok(answer), Format::Text) => {
-                let seen = Seen::read(answer)?;
+                let seen = relay.read(answer)?;
                 let earlier = before.as_ref().map(|(then, seen)| (now - *then, seen));
                 let text = paper(args.full).draw(&seen, earlier, &relay.url);
                 before = Some((now, seen));
@@ -196,6 +196,10 @@ impl Relay {
             "drop_reasons": self.get("/api/v1/drop-reasons", None)?,
             "nets": nets,
         }))
+    }
+
+    fn read(&self, answer: Value) -> anyhow::Result<Seen> {
+        Seen::read(answer, self.net.is_some())
     }
 
     fn get(&self, path: &str, net: Option<&str>) -> anyhow::Result<Map<String, Value>> {
