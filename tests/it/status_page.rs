@@ -53,6 +53,11 @@ fn state_of(node_address: u8) -> String {
     format!("[data-net=section-1] [data-node=\"{node_address}\"] td")
 }
 
+#[track_caller]
+fn expect_no_accessibility_faults(browser: &Browser, state: &str) {
+    assert_eq!(browser.accessibility_faults().unwrap_or_default(), [""; 0], "{state}");
+}
+
 #[test]
 fn traffic_appears_and_a_node_that_dies_turns_silent() {
     let Some(browser) = Browser::start() else { return };
@@ -103,15 +108,25 @@ fn traffic_appears_and_a_node_that_dies_turns_silent() {
         browser.screenshot(name);
         let wide = browser.run("return document.documentElement.scrollWidth");
         assert!(wide.as_u64() <= Some(width.into()), "{name}: {wide} wide");
-        assert_eq!(browser.accessibility_faults().unwrap_or_default(), [""; 0], "{name}");
+        expect_no_accessibility_faults(&browser, name);
     }
 
     nodes.push(simulated_node(&site, 3));
     browser.expect("#banner", "All 4 nodes that clients asked answer.");
     assert_eq!(browser.errors(), [""; 0]);
 
+    browser.run("document.querySelector('#help').open = true");
+    browser.expect("#help", "Does it take the password?");
+    expect_no_accessibility_faults(&browser, "help");
+
     drop(relay);
     browser.expect("#banner", "The relay has not answered since");
+    assert_eq!(browser.run("return document.querySelectorAll('.stale').length"), 1);
+    for scheme in ["light", "dark"] {
+        browser.look(1280, 2400, false, scheme);
+        browser.screenshot(&format!("stale-{scheme}"));
+        expect_no_accessibility_faults(&browser, "stale");
+    }
 }
 
 #[test]
@@ -149,7 +164,7 @@ fn a_token_is_asked_for_and_kept_for_the_tab() {
     browser.expect("#token-form", "Token");
     browser.look(390, 900, true, "dark");
     browser.screenshot("token");
-    assert_eq!(browser.accessibility_faults().unwrap_or_default(), [""; 0]);
+    expect_no_accessibility_faults(&browser, "token");
     assert_eq!(browser.text("#status"), "", "nothing is shown without it");
     browser.press(&format!("0123456789abcdef{ENTER}"));
     browser.expect("#token-error", "This is not the token.");
