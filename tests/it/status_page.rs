@@ -65,7 +65,7 @@ fn traffic_appears_and_a_node_that_dies_turns_silent() {
     let relay = relay(&site);
     browser.look(1280, 900, false, "light");
     browser.open(&format!("http://{}/", site.admin()));
-    browser.expect("#banner", "No client has asked a node yet.");
+    browser.expect("#banner", "No client has had an answer yet.");
     browser.expect(&state_of(1), "never asked");
     browser.expect("#drops-title ~ #no-drops", "Nothing was dropped.");
 
@@ -135,7 +135,7 @@ fn all_of_it_can_be_reached_by_keyboard() {
     let site = Site::claim();
     let _relay = relay(&site);
     browser.open(&format!("http://{}/", site.admin()));
-    browser.expect("#banner", "No client has asked a node yet.");
+    browser.expect("#banner", "No client has had an answer yet.");
     let focused =
         || browser.run("return document.activeElement.closest('[data-net],#help')?.tagName");
     let is_open = || browser.run("return document.querySelector('[data-net]').open");
@@ -169,9 +169,9 @@ fn a_token_is_asked_for_and_kept_for_the_tab() {
     browser.press(&format!("0123456789abcdef{ENTER}"));
     browser.expect("#token-error", "This is not the token.");
     browser.press(&format!("s3cr3t-0123456789{ENTER}"));
-    browser.expect("#banner", "No client has asked a node yet.");
+    browser.expect("#banner", "No client has had an answer yet.");
     browser.open(&url);
-    browser.expect("#banner", "No client has asked a node yet.");
+    browser.expect("#banner", "No client has had an answer yet.");
     let kept = browser.run("return [localStorage.length, document.cookie, location.href]");
     assert_eq!(kept, serde_json::json!([0, "", url]));
     for error in browser.errors() {

@@ -493,7 +493,7 @@ function showBanner(status, states, lost) {
   const bad = lines.length > 0;
   if (!bad) {
     lines.push(answering ? `● ${answering === 1 ? "The one node" : `All ${nodes(answering)}`} that clients asked ${answering === 1 ? "answers" : "answer"}.`
-      : "○ Relaying. No client has asked a node yet.");
+      : "○ Relaying. No client has had an answer yet.");
   }
   document.title = silent.length ? `${whole.format(silent.length)} silent · pnet-nat` : "pnet-nat";
   const key = JSON.stringify([lines, silent.slice(0, SHOWN_SILENT), silent.length]);
