@@ -1,10 +1,11 @@
 //! What a package and a terminal see of the command line: version, completions, manual, colours.
 
 use std::fs;
+use std::io::Read;
 use std::path::Path;
-use std::process::Command;
+use std::process::{Command, Stdio};
 
-use crate::harness::{Process, Terminal, left_out, pnet_nat};
+use crate::harness::{Process, Relay, Settings, Site, Terminal, eventually, left_out, pnet_nat};
 
 fn stdout(arguments: &[&str]) -> String {
     let mut process = Process::start(pnet_nat(arguments));
@@ -135,5 +136,91 @@ fn no_color_is_heeded_by_help_log_and_tables() {
         assert!(Terminal::has_colours(&usual), "{arguments:?}: {usual:?}");
         assert!(!Terminal::has_colours(&plain), "{arguments:?}: {plain:?}");
         assert!(plain.contains("pnet-nat"), "{plain:?}");
+    }
+}
+
+/// As shells, Compose and Kubernetes write them.
+#[test]
+fn a_flag_in_the_environment_is_said_in_any_usual_way() {
+    let site = Site::claim();
+    let mut configuration = site.configuration(&Settings::default());
+    configuration = configuration.replace("\"1-4\", 33", "\"1-125\"");
+    let relay = Relay::start(&configuration, site.admin(), None);
+    let url = format!("http://{}", site.admin());
+    let config = relay.folder.path().join("pnet-nat.toml");
+    let commands =
+        [&["status", "--url", &url][..], &["check", "--config", config.to_str().unwrap()]];
+    for arguments in commands {
+        let lines = |full: &str| {
+            let mut command = pnet_nat(arguments);
+            command.env("PNET_NAT_FULL", full);
+            let mut process = Process::start(command);
+            assert_eq!(process.end(), Some(0), "{full}: {}", process.stderr());
+            process.stdout().lines().count()
+        };
+        for (yes, no) in [("1", "0"), ("yes", "no"), ("true", "false"), ("on", "off")] {
+            assert!(lines(yes) > 125, "{arguments:?}: {yes}");
+            assert!(lines(no) < 100, "{arguments:?}: {no}");
+        }
+    }
+    // It goes on to read its configuration, which is not there.
+    for said in ["1", "0", "yes", "no"] {
+        let mut command = pnet_nat(&["run", "--config", "/nowhere/pnet-nat.toml"]);
+        command.env("PNET_NAT_NO_SANDBOX", said);
+        let mut run = Process::start(command);
+        assert_eq!(run.end(), Some(2));
+        assert!(run.stderr().contains("/nowhere/pnet-nat.toml"), "{said}: {}", run.stderr());
+    }
+}
+
+/// As with `| head`.
+#[test]
+fn an_output_that_is_closed_is_no_fault() {
+    let site = Site::claim();
+    let relay = site.relay(Settings::default());
+    let url = format!("http://{}", site.admin());
+    let nobody = format!("http://{}/", site.address(4));
+    let (config, hex) =
+        (relay.folder.path().join("pnet-nat.toml"), relay.folder.path().join("hex"));
+    fs::write(&hex, "00\n").unwrap();
+    let (config, hex) = (config.to_str().unwrap(), hex.to_str().unwrap());
+    let password = relay.folder.path().join("secrets/section-1");
+    let password = password.to_str().unwrap();
+    let (node, port) = (site.address(1).to_string(), site.start_port().to_string());
+    for (arguments, code) in [
+        (&["check", "--config", config][..], 0),
+        (&["completions", "bash"], 0),
+        (&["decode", hex], 0),
+        (&["--help"], 0),
+        (&["node", "--listen", &node, "--password-file", password], 0),
+        (&["status", "--url", &url], 0),
+        (&["status", "--url", &url, "--watch"], 0),
+        // These tell more by their exit code.
+        (&["demo"], 1),
+        (&["healthcheck", "--url", &nobody], 1),
+        (
+            &[
+                "request",
+                "--to",
+                &node,
+                "--start-port",
+                &port,
+                "--node",
+                "1",
+                "--password-file",
+                password,
+            ],
+            1,
+        ),
+    ] {
+        let (reader, writer) = std::io::pipe().unwrap();
+        drop(reader);
+        let mut command = pnet_nat(arguments);
+        let mut child = command.stdout(writer).stderr(Stdio::piped()).spawn().unwrap();
+        drop(command);
+        let ended = eventually("it ends", || child.try_wait().unwrap());
+        let mut stderr = String::new();
+        child.stderr.take().unwrap().read_to_string(&mut stderr).unwrap();
+        assert_eq!((ended.code(), stderr.as_str()), (Some(code), ""), "{arguments:?}");
     }
 }

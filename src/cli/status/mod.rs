@@ -13,6 +13,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, anyhow, bail};
+use clap::builder::BoolishValueParser;
 use serde_json::{Map, Value, json};
 use terminal_size::{Height, Width, terminal_size_of};
 use ureq::Agent;
@@ -64,7 +65,7 @@ pub(super) struct Args {
     net: Option<String>,
 
     /// Every node; without it, of more than 100 only those that are silent.
-    #[arg(long, env = "PNET_NAT_FULL")]
+    #[arg(long, env = "PNET_NAT_FULL", value_parser = BoolishValueParser::new())]
     full: bool,
 
     /// Show it anew every 2 s, or as often as said, with rates, until Ctrl-C.
