@@ -30,13 +30,17 @@ async function ask(path) {
 
 // ── Figures over time ───────────────────────────────────────────────────────────────────────────
 
+/** So many seconds without a look are a pause: what happened then says nothing of now. */
+let pause = RATE_SECONDS;
+
 /** The rate of a counter. */
 class Rate {
   #samples = [];
 
   add(time, value) {
     const samples = this.#samples;
-    if (samples.length && value < samples.at(-1)[1]) samples.length = 0; // it began anew
+    const [before, count] = samples.at(-1) ?? [time, value];
+    if (value < count || time - before > pause) samples.length = 0; // it, or we, began anew
     samples.push([time, value]);
     while (samples.length > 2 && samples[1][0] <= time - RATE_SECONDS) samples.shift();
     return this.now;
@@ -62,7 +66,8 @@ class Times {
       this.#weights = buckets.map((count) => (sum ? count / sum : 0));
     } else {
       const fade = Math.exp(-elapsed / TIMES_SECONDS);
-      this.#weights = this.#weights.map((w, i) => w * fade + buckets[i] - this.#last[i]);
+      const since = (i) => (elapsed > pause ? 0 : buckets[i] - this.#last[i]);
+      this.#weights = this.#weights.map((w, i) => w * fade + since(i));
     }
     this.#last = buckets;
   }
@@ -119,6 +124,15 @@ function make(tag, attributes = {}, ...children) {
 /** Touches the page only where something changed. */
 function write(element, text) {
   if (element.textContent !== text) element.textContent = text;
+}
+
+/** Has these elements in a place, in this order; those that stay are not moved. */
+function arrange(place, elements) {
+  const wanted = new Set(elements);
+  for (const child of [...place.children]) if (!wanted.has(child)) child.remove();
+  for (const [i, element] of elements.entries()) {
+    if (place.children[i] !== element) place.insertBefore(element, place.children[i] ?? null);
+  }
 }
 
 function svg(tag, attributes = {}) {
@@ -228,6 +242,9 @@ class Traffic {
   }
 }
 
+/** Columns of figures; on a phone they stand beside the figures. */
+const FIGURES = ["Requests", "Answers", "Median", "99 %", "Dropped"];
+
 /** A row of a net's table. */
 class NodeRow {
   traffic = new Traffic();
@@ -239,8 +256,10 @@ class NodeRow {
     this.word = make("span");
     this.since = make("small");
     this.state = make("td", {}, this.mark, " ", this.word, this.since);
-    const number = (extra = "") => make("td", { class: `number ${extra}` });
-    this.figures = [number(), number("wide"), number(), number("wide"), number()];
+    this.figures = FIGURES.map((title) =>
+      make("td", { class: "number", "data-title": title }, make("span")));
+    this.why = make("small");
+    this.figures.at(-1).append(this.why);
     this.row = make("tr", { "data-node": node.node }, head, this.state, ...this.figures);
   }
 
@@ -261,9 +280,9 @@ class NodeRow {
       duration(this.traffic.quantile(0.99)),
       whole.format(total(dropped)),
     ];
-    texts.forEach((text, i) => write(this.figures[i], text));
-    const why = Object.entries(dropped).map(([reason, count]) => `${reason}: ${count}`).join(", ");
-    if (this.figures[4].title !== why) this.figures[4].title = why;
+    texts.forEach((text, i) => write(this.figures[i].firstChild, text));
+    const why = Object.entries(dropped).map(([reason, count]) => `${reason}: ${count}`);
+    write(this.why, why.join(", "));
   }
 }
 
@@ -285,10 +304,9 @@ class NetView {
     const name = make("b", {}, net.name);
     this.summary = make("summary", {}, name, ...this.states.values(), ...this.figures);
     this.body = make("tbody");
-    const columns = [
-      ["Node", ""], ["State", ""], ["Requests", "number"], ["Answers", "number wide"],
-      ["Median", "number"], ["99 %", "number wide"], ["Dropped", "number"],
-    ].map(([title, style]) => make("th", { scope: "col", class: style }, title));
+    const column = (title, style) => make("th", { scope: "col", class: style }, title);
+    const columns = [column("Node", ""), column("State", ""),
+      ...FIGURES.map((title) => column(title, "number"))];
     const table = make("table", { "aria-label": `Nodes of ${net.name}` },
       make("thead", {}, make("tr", {}, ...columns)), this.body);
     const region = { class: "table", tabindex: "0", role: "region",
@@ -339,22 +357,15 @@ class NetView {
   }
 
   showNodes(time, states) {
-    const gone = new Set(this.rows.keys());
+    const before = this.rows;
+    this.rows = new Map();
     for (const state of states) {
       const key = `${state.node} ${state.public_port} ${state.server}`;
-      gone.delete(key);
-      let row = this.rows.get(key);
-      if (!row) {
-        row = new NodeRow(state);
-        this.rows.set(key, row);
-        this.body.append(row.row);
-      }
+      const row = before.get(key) ?? new NodeRow(state);
+      this.rows.set(key, row);
       row.show(time, state);
     }
-    for (const key of gone) {
-      this.rows.get(key).row.remove();
-      this.rows.delete(key);
-    }
+    arrange(this.body, [...this.rows.values()].map(({ row }) => row));
   }
 }
 
@@ -372,22 +383,18 @@ const sight = new IntersectionObserver((entries) => {
 });
 
 function showNets(time, states, status) {
-  const gone = new Set(nets.keys());
+  const before = new Map(nets);
+  nets.clear();
   for (const state of states) {
-    gone.delete(state.name);
-    let net = nets.get(state.name);
+    let net = before.get(state.name);
     if (!net) {
       net = new NetView(state, status.public_ports <= FEW_PORTS);
-      nets.set(state.name, net);
-      $("nets").append(net.details);
       sight.observe(net.details);
     }
+    nets.set(state.name, net);
     net.show(time, state);
   }
-  for (const name of gone) {
-    nets.get(name).details.remove();
-    nets.delete(name);
-  }
+  arrange($("nets"), [...nets.values()].map(({ details }) => details));
 }
 
 const RATES = { requests: new Rate(), dropped: new Rate(), passwords: new Rate() };
@@ -582,8 +589,9 @@ async function round() {
   }
   running = false;
   // A relay or browser that is slow is asked less often.
-  const took = performance.now() - began;
-  timer = setTimeout(round, Math.max(2000, 10 * took));
+  const wait = Math.max(2000, 10 * (performance.now() - began));
+  pause = Math.max(RATE_SECONDS, (3 * wait) / 1000);
+  timer = setTimeout(round, wait);
 }
 
 function askForToken() {
@@ -601,5 +609,7 @@ $("token-form").addEventListener("submit", (event) => {
   $("token").value = "";
   round();
 });
-document.addEventListener("visibilitychange", round);
+document.addEventListener("visibilitychange", () => {
+  if ($("token-form").hidden) round(); // without the token there is nothing to ask
+});
 round();
