@@ -19,6 +19,7 @@ use ipnet::IpNet;
 use serde::{Deserialize, Serialize, Serializer};
 
 use super::Shared;
+use crate::COMMIT;
 use crate::config::Config;
 use crate::metrics::totals::{self, DirectionTotals, NetTotals, NodeTotals, Presence};
 use crate::net::InForce;
@@ -144,6 +145,8 @@ fn json_list(
 #[derive(Serialize)]
 struct Status<'a> {
     version: &'static str,
+    /// Null where it is not known.
+    commit: Option<&'static str>,
     ready: bool,
     uptime_seconds: f64,
     reload: ReloadState,
@@ -190,6 +193,7 @@ impl<'a> Status<'a> {
         let Config { table, limits, .. } = &in_force.config;
         Self {
             version: env!("CARGO_PKG_VERSION"),
+            commit: Some(COMMIT).filter(|commit| !commit.is_empty()),
             ready: shared.router.is_ready(),
             uptime_seconds: shared.router.started().elapsed().as_secs_f64(),
             reload: ReloadState {

@@ -453,6 +453,7 @@ fn status_tells_how_the_process_is_confined() {
     let server = Server::start(Router::idle(config(), 1));
     let status = server.get("/api/v1/status").json();
     assert_eq!(status["version"], env!("CARGO_PKG_VERSION"));
+    assert_eq!(status["commit"].as_str().unwrap_or_default(), crate::COMMIT);
     assert_eq!(status["ready"], false);
     assert_eq!(status["reload"]["successful"], true);
     assert_eq!(status["public_ports"], 3);

@@ -12,6 +12,7 @@ use prometheus::proto::{
 
 use super::metric_family;
 use super::totals::{DirectionTotals, NetTotals, NodeTotals};
+use crate::COMMIT;
 use crate::net::{KernelDrops, LastReload};
 use crate::relay::{CloseReason, Direction, Net, RESPONSE_BUCKETS};
 use crate::sandbox::{Layer, Sandbox, State};
@@ -169,7 +170,7 @@ pub(super) const ROUTER_FAMILIES: &[RouterFamily] = &[
     RouterFamily {
         name: "pnet_nat_build_info",
         help: "Always 1; the labels tell what runs.",
-        sample: |_| gauge(&[("version", env!("CARGO_PKG_VERSION"))], 1.0),
+        sample: |_| gauge(&[("version", env!("CARGO_PKG_VERSION")), ("commit", COMMIT)], 1.0),
     },
 ];
 

@@ -67,9 +67,27 @@ fn the_version_tells_the_commit_where_it_is_known() {
     assert_eq!(told_of(&sources, &build, None), format!("1.2.3 ({commit})"));
     assert_eq!(told_of(&sources.join("inner"), &build, None), "1.2.3", "someone else's commit");
     assert_eq!(told_of(&sources, &build, Some("0123abc")), "1.2.3 (0123abc)");
+}
 
-    let version = stdout(&["--version"]);
-    assert!(version.starts_with(concat!("pnet-nat ", env!("CARGO_PKG_VERSION"))), "{version}");
+/// Also after a commit: cargo sees that there is another.
+#[test]
+fn the_program_tells_the_commit_that_it_is_built_from() {
+    let of_git = |arguments: &[&str]| {
+        let mut git = Command::new("git");
+        let output = git.arg("-C").arg(env!("CARGO_MANIFEST_DIR")).args(arguments).output().ok()?;
+        let text = String::from_utf8(output.stdout).unwrap();
+        output.status.success().then(|| text.trim().to_owned())
+    };
+    let is_repository =
+        of_git(&["rev-parse", "--show-toplevel"]).as_deref() == Some(env!("CARGO_MANIFEST_DIR"));
+    let said = std::env::var("PNET_NAT_COMMIT").ok().filter(|commit| !commit.is_empty());
+    let commit =
+        said.or_else(|| of_git(&["rev-parse", "--short=12", "HEAD"]).filter(|_| is_repository));
+    let version = match commit {
+        Some(commit) => format!(concat!("pnet-nat ", env!("CARGO_PKG_VERSION"), " ({})\n"), commit),
+        None => concat!("pnet-nat ", env!("CARGO_PKG_VERSION"), "\n").to_owned(),
+    };
+    assert_eq!(stdout(&["--version"]), version);
 }
 
 #[test]
@@ -119,6 +137,7 @@ fn every_command_has_a_manual_page_without_faults() {
     let text = String::from_utf8(output.stdout).unwrap();
     let alone = |example: &str| text.lines().any(|line| line.trim() == example);
     assert!(alone("Example: pnet-nat demo --seconds 10"), "{text}");
+    assert!(alone("pnet-nat status --watch --net section-1"), "{text}");
 }
 
 /// What a command writes to a terminal.

@@ -463,7 +463,8 @@ function showDrops(time, dropped) {
 }
 
 function showRelay(status) {
-  write($("process"), `${status.version}, up for ${age(status.uptime_seconds)}`);
+  const build = status.commit ? `${status.version} (${status.commit})` : status.version;
+  write($("process"), `${build}, up for ${age(status.uptime_seconds)}`);
   const { reload, sandbox } = status;
   const inForce = `the configuration in force is ${age(reload.in_force_seconds)} old`;
   const layers = sandbox.map(({ layer, state, why }) => `${layer} ${state}${why ? ` (${why})` : ""}`);

@@ -21,6 +21,7 @@ pub(super) struct Seen {
 #[derive(Debug, Deserialize)]
 pub(super) struct Status {
     pub(super) version: String,
+    pub(super) commit: Option<String>,
     pub(super) ready: bool,
     pub(super) uptime_seconds: f64,
     pub(super) reload: Reload,

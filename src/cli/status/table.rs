@@ -53,8 +53,10 @@ impl Paper {
 
     fn relay(self, status: &Status, url: &str) -> String {
         let Status { version, public_ports, .. } = status;
+        let commit = status.commit.as_ref().map(|commit| format!(" ({commit})"));
         let mut text = format!(
-            "pnet-nat {version} at {url}, up for {}, {public_ports} public ports\n",
+            "pnet-nat {version}{} at {url}, up for {}, {public_ports} public ports\n",
+            commit.unwrap_or_default(),
             age(status.uptime_seconds)
         );
         if !status.ready {
