@@ -1,4 +1,4 @@
-//! Tells the program which commit it is built from: `--version` shows it.
+//! Tells the program which commit it is built from: `--version`, API and metrics show it.
 //!
 //! `PNET_NAT_COMMIT` says it, for builds without the repository; else git is asked. Where neither
 //! knows, the version stands alone.
@@ -12,10 +12,12 @@ fn main() {
     println!("cargo::rerun-if-changed=build.rs");
     let said = env::var("PNET_NAT_COMMIT").ok().filter(|commit| !commit.is_empty());
     let version = env!("CARGO_PKG_VERSION");
-    match said.or_else(commit) {
+    let commit = said.or_else(commit);
+    match &commit {
         Some(commit) => println!("cargo::rustc-env=PNET_NAT_VERSION={version} ({commit})"),
         None => println!("cargo::rustc-env=PNET_NAT_VERSION={version}"),
     }
+    println!("cargo::rustc-env=PNET_NAT_COMMIT={}", commit.unwrap_or_default());
 }
 
 /// The commit that is checked out, if this is a repository of its own: a copy of the sources may
@@ -26,9 +28,10 @@ fn commit() -> Option<String> {
     if Path::new(&top).canonicalize().ok()? != Path::new(&here).canonicalize().ok()? {
         return None;
     }
-    // Another commit is another HEAD, or another value of the branch that it names.
+    // Another commit is another HEAD, or another value of the branch that it names; the log of HEAD
+    // grows with each.
     let branch = git(&["symbolic-ref", "--quiet", "HEAD"]);
-    for name in ["HEAD", "packed-refs"].into_iter().chain(branch.as_deref()) {
+    for name in ["HEAD", "packed-refs", "logs/HEAD"].into_iter().chain(branch.as_deref()) {
         if let Some(path) = git(&["rev-parse", "--git-path", name])
             && Path::new(&path).exists()
         {

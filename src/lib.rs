@@ -17,3 +17,6 @@ pub mod reload;
 pub mod sandbox;
 pub mod service;
 pub mod wire;
+
+/// The commit that this is built from; empty where that is not known.
+const COMMIT: &str = env!("PNET_NAT_COMMIT");

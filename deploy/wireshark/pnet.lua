@@ -235,13 +235,15 @@ function pnet.dissector(tvb, info, root)
 end
 
 local by_port = DissectorTable.get("udp.port")
-by_port:add("34378-34379", pnet)
+local P_NET_PORTS = "34378-34379"
+by_port:add(P_NET_PORTS, pnet)
 
 local ranges = ""
 function pnet.prefs_changed()
     if ranges ~= pnet.prefs.udp_ranges then
         if ranges ~= "" then
             by_port:remove(ranges, pnet)
+            by_port:add(P_NET_PORTS, pnet) -- the ranges may have covered them
         end
         ranges = pnet.prefs.udp_ranges
         if ranges ~= "" then

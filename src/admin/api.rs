@@ -19,6 +19,7 @@ use ipnet::IpNet;
 use serde::{Deserialize, Serialize, Serializer};
 
 use super::Shared;
+use crate::COMMIT;
 use crate::config::Config;
 use crate::metrics::totals::{self, DirectionTotals, NetTotals, NodeTotals, Presence};
 use crate::net::InForce;
@@ -31,6 +32,26 @@ use crate::sandbox::{self, Layer};
 const DEFAULT_FLOWS: usize = 1000;
 const MOST_FLOWS: usize = 100_000;
 
+/// What the kernel drops before the relay sees it, as the status page names it, in plain words:
+/// by the causes of [`KernelDrops`](crate::net::KernelDrops).
+const KERNEL_DROPS: [(&str, &str); 3] = [
+    (
+        "kernel: overflow",
+        "Never seen by the relay: the receive buffer of a public port was full. Raise \
+         `receive_buffer` and sysctl net.core.rmem_max, add workers.",
+    ),
+    (
+        "kernel: prefilter",
+        "Refused by the kernel for their length, header or password, while a public port was \
+         flooded, or with `prefilter = \"always\"` from the start on.",
+    ),
+    (
+        "kernel: upstream overflow",
+        "Answers of servers that the relay never saw: the receive buffer of a socket towards the \
+         plant was full. Raise `receive_buffer` and sysctl net.core.rmem_max, add workers.",
+    ),
+];
+
 /// `GET /api/v1/status`
 pub(super) async fn status(State(shared): State<Shared>) -> Response {
     Json(Status::of(&shared)).into_response()
@@ -40,6 +61,7 @@ pub(super) async fn status(State(shared): State<Shared>) -> Response {
 pub(super) async fn drop_reasons() -> Response {
     let reasons = Direction::ALL.iter().flat_map(|direction| direction.drop_reasons());
     let reasons = reasons.map(|reason| (reason.label(), reason.explanation()));
+    let reasons = reasons.chain(KERNEL_DROPS);
     Json(reasons.collect::<BTreeMap<_, _>>()).into_response()
 }
 
@@ -123,6 +145,8 @@ fn json_list(
 #[derive(Serialize)]
 struct Status<'a> {
     version: &'static str,
+    /// Null where it is not known.
+    commit: Option<&'static str>,
     ready: bool,
     uptime_seconds: f64,
     reload: ReloadState,
@@ -135,6 +159,8 @@ struct Status<'a> {
     wrong_password_sources_at_most: u32,
     /// From the plant, of no server of the table.
     stray_responses: DirectionState,
+    /// Answers that the kernel dropped on sockets towards the plant, which belong to no net.
+    upstream_kernel_dropped_datagrams: BTreeMap<&'static str, u64>,
     /// Upper bounds of `response_time_buckets`; one more bucket takes the rest.
     response_time_bounds_seconds: [f64; RESPONSE_BUCKETS.len()],
     sandbox: Vec<LayerState<'a>>,
@@ -167,6 +193,7 @@ impl<'a> Status<'a> {
         let Config { table, limits, .. } = &in_force.config;
         Self {
             version: env!("CARGO_PKG_VERSION"),
+            commit: Some(COMMIT).filter(|commit| !commit.is_empty()),
             ready: shared.router.is_ready(),
             uptime_seconds: shared.router.started().elapsed().as_secs_f64(),
             reload: ReloadState {
@@ -182,6 +209,7 @@ impl<'a> Status<'a> {
                 &NodeTotals::of_strays(&in_force.counters),
                 Direction::Response,
             ),
+            upstream_kernel_dropped_datagrams: in_force.upstream_kernel_drops().by_cause().into(),
             response_time_bounds_seconds: RESPONSE_BUCKETS,
             sandbox: shared.sandbox.layers().map(state).collect(),
         }

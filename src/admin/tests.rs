@@ -272,8 +272,11 @@ fn the_page_has_its_files_and_names_no_other_site() {
 #[test]
 fn drop_reasons_are_explained() {
     let reasons = Server::start(Router::idle(config(), 1)).get("/api/v1/drop-reasons").json();
-    assert_eq!(reasons.as_object().unwrap().len(), DropReason::COUNT);
+    assert_eq!(reasons.as_object().unwrap().len(), DropReason::COUNT + 3);
     assert_eq!(reasons["password_wrong"], DropReason::PasswordWrong.explanation());
+    for (cause, _) in crate::net::KernelDrops::default().by_cause() {
+        assert!(reasons[format!("kernel: {cause}")].is_string(), "{cause}");
+    }
 }
 
 #[test]
@@ -450,10 +453,13 @@ fn status_tells_how_the_process_is_confined() {
     let server = Server::start(Router::idle(config(), 1));
     let status = server.get("/api/v1/status").json();
     assert_eq!(status["version"], env!("CARGO_PKG_VERSION"));
+    assert_eq!(status["commit"].as_str().unwrap_or_default(), crate::COMMIT);
     assert_eq!(status["ready"], false);
     assert_eq!(status["reload"]["successful"], true);
     assert_eq!(status["public_ports"], 3);
     assert_eq!(status["stray_responses"]["received_datagrams"], 0);
+    let upstream = &status["upstream_kernel_dropped_datagrams"];
+    assert_eq!(*upstream, json!({ "overflow": 0, "prefilter": 0 }));
     assert!(status["uptime_seconds"].as_f64().unwrap() >= 0.0);
     let layers = ["memory", "no_new_privs", "capabilities", "landlock", "seccomp"];
     let off = layers.map(|layer| json!({ "layer": layer, "state": "off", "why": null }));

@@ -7,6 +7,7 @@ use std::net::{IpAddr, SocketAddr};
 use std::path::PathBuf;
 use std::process::ExitCode;
 
+use clap::builder::BoolishValueParser;
 use comfy_table::{Table, presets};
 
 use super::{complain, load};
@@ -21,7 +22,7 @@ pub(super) struct Args {
     #[arg(long, value_name = "FILE", env = "PNET_NAT_CONFIG")]
     config: PathBuf,
     /// One line for each node, instead of one for each run of consecutive nodes.
-    #[arg(long, env = "PNET_NAT_FULL")]
+    #[arg(long, env = "PNET_NAT_FULL", value_parser = BoolishValueParser::new())]
     full: bool,
 }
 

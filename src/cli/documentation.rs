@@ -53,12 +53,17 @@ pub(super) fn man(args: &Man) -> anyhow::Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
+/// Whether a line of a help text is an example, alone or one of several.
+fn is_example(line: &str) -> bool {
+    line.starts_with("Example:") || line.contains("  pnet-nat ")
+}
+
 /// A manual page fills its lines: each example becomes a paragraph, in one line.
 fn in_paragraphs(help: &str) -> String {
     let mut text = String::new();
     for line in help.replace("\\\n", "").lines() {
         text.extend(line.split_whitespace().flat_map(|word| [word, " "]));
-        text.push_str(if line.starts_with("Example:") { "\n\n" } else { "\n" });
+        text.push_str(if is_example(line) { "\n\n" } else { "\n" });
     }
     text
 }
@@ -76,8 +81,10 @@ mod tests {
         for command in Cli::command().get_subcommands() {
             let help = command.get_after_help().map(ToString::to_string).unwrap_or_default();
             let help = help.replace("\\\n", " ");
-            let examples: Vec<_> = help.lines().filter(|line| line.contains("Example:")).collect();
+            let examples: Vec<_> = help.lines().filter(|line| is_example(line)).collect();
             assert!(!examples.is_empty(), "{} has no example", command.get_name());
+            let named = help.matches("pnet-nat ").count();
+            assert_eq!(examples.len(), named, "of {}, some are not looked at", command.get_name());
             for example in examples {
                 let words = &example[example.find("pnet-nat ").expect(example)..];
                 let words = words.split(['|', '>']).next().unwrap().split_whitespace();

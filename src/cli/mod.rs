@@ -14,7 +14,7 @@ mod run;
 mod signals;
 mod status;
 
-use std::io::{self, Write};
+use std::io::{self, ErrorKind, Write};
 use std::path::Path;
 use std::process::ExitCode;
 use std::time::Duration;
@@ -88,6 +88,8 @@ pub fn main() -> ExitCode {
         _ => Level::WARN,
     };
     log::init(cli.log_format, cli.log_level.unwrap_or(usual));
+    // Their exit code judges what was not seen to its end.
+    let judges = matches!(cli.command, Command::Demo(_) | Command::Request(_));
     let done = match cli.command {
         Command::Run(args) => run::run(&args),
         Command::Check(args) => check::run(args),
@@ -101,9 +103,18 @@ pub fn main() -> ExitCode {
         Command::Man(args) => documentation::man(&args),
     };
     done.unwrap_or_else(|error| {
+        if is_broken_pipe(&error) {
+            // Whoever reads the output has seen enough of it.
+            return if judges { ExitCode::FAILURE } else { ExitCode::SUCCESS };
+        }
         complain(format_args!("pnet-nat: {error:#}"));
         ExitCode::FAILURE
     })
+}
+
+fn is_broken_pipe(error: &anyhow::Error) -> bool {
+    let mut io_errors = error.chain().filter_map(|cause| cause.downcast_ref::<io::Error>());
+    io_errors.any(|error| error.kind() == ErrorKind::BrokenPipe)
 }
 
 /// Reads a configuration, or tells all of its faults and what to exit with.

@@ -32,7 +32,11 @@ pub(super) struct Args {
     #[arg(long, value_name = "FILE", env = "PNET_NAT_CONFIG")]
     config: PathBuf,
     /// Keep every privilege: for debuggers, and to find out whether the confinement is at fault.
-    #[arg(long, env = "PNET_NAT_NO_SANDBOX")]
+    #[arg(
+        long,
+        env = "PNET_NAT_NO_SANDBOX",
+        value_parser = clap::builder::BoolishValueParser::new()
+    )]
     no_sandbox: bool,
 }
 

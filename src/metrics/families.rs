@@ -4,7 +4,7 @@
 //! Labels are names of the configuration, node addresses and labels of enums: never a client's
 //! address, never a password.
 
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use prometheus::proto::{
     Bucket, Counter, Gauge, Histogram, LabelPair, Metric, MetricFamily, MetricType,
@@ -12,6 +12,7 @@ use prometheus::proto::{
 
 use super::metric_family;
 use super::totals::{DirectionTotals, NetTotals, NodeTotals};
+use crate::COMMIT;
 use crate::net::{KernelDrops, LastReload};
 use crate::relay::{CloseReason, Direction, Net, RESPONSE_BUCKETS};
 use crate::sandbox::{Layer, Sandbox, State};
@@ -36,6 +37,13 @@ pub(super) struct NetSums<'a> {
     pub(super) kernel_drops: Box<dyn Fn() -> KernelDrops + 'a>,
     /// The router's start as Unix time, in seconds.
     pub(super) started_at: f64,
+}
+
+impl NetSums<'_> {
+    /// A moment from the router's start in Unix time; 0 for none.
+    fn unix_time(&self, moment: Option<Duration>) -> f64 {
+        moment.map_or(0.0, |moment| self.started_at + moment.as_secs_f64())
+    }
 }
 
 pub(super) const NET_FAMILIES: &[NetFamily] = &[
@@ -110,6 +118,13 @@ pub(super) const NET_FAMILIES: &[NetFamily] = &[
         samples: last_responses,
     },
     NetFamily {
+        name: "pnet_nat_unanswered_since_timestamp_seconds",
+        help: "Unix time since which the node keeps everybody waiting who asks it for an answer; 0: \
+               nobody waits.",
+        kind: MetricType::GAUGE,
+        samples: unanswered_since,
+    },
+    NetFamily {
         name: "pnet_nat_kernel_dropped_datagrams_total",
         help: "Datagrams that the kernel dropped on a net's public sockets, or, of net none, on \
                upstream sockets: overflow, a buffer was full; prefilter, the same while the \
@@ -155,7 +170,7 @@ pub(super) const ROUTER_FAMILIES: &[RouterFamily] = &[
     RouterFamily {
         name: "pnet_nat_build_info",
         help: "Always 1; the labels tell what runs.",
-        sample: |_| gauge(&[("version", env!("CARGO_PKG_VERSION"))], 1.0),
+        sample: |_| gauge(&[("version", env!("CARGO_PKG_VERSION")), ("commit", COMMIT)], 1.0),
     },
 ];
 
@@ -223,10 +238,11 @@ fn response_times(sums: &NetSums<'_>) -> Vec<Metric> {
 }
 
 fn last_responses(sums: &NetSums<'_>) -> Vec<Metric> {
-    each_node(sums, |labels, totals| {
-        let at = totals.last_response.map_or(0.0, |last| sums.started_at + last.as_secs_f64());
-        gauge(labels, at)
-    })
+    each_node(sums, |labels, totals| gauge(labels, sums.unix_time(totals.last_response)))
+}
+
+fn unanswered_since(sums: &NetSums<'_>) -> Vec<Metric> {
+    each_node(sums, |labels, totals| gauge(labels, sums.unix_time(totals.waiting_since())))
 }
 
 /// The family of [`sandbox_layers`].

@@ -180,6 +180,27 @@ fn the_last_response_is_the_latest_of_all_workers_in_unix_time() {
 }
 
 #[test]
+fn who_waits_for_an_answer_is_told_since_when_in_unix_time() {
+    let router = Router::idle(config(), 2);
+    let in_force = router.in_force();
+    let [first, second] = [&in_force.counters[0], &in_force.counters[1]];
+    let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap().as_secs_f64();
+    let waiting = || {
+        let series = "pnet_nat_unanswered_since_timestamp_seconds{net=\"section-1\",node=\"1\"}";
+        let since = Scrape::of(&router).get(series);
+        (since > 0.0).then(|| (since - now).round())
+    };
+    assert_eq!(waiting(), None);
+    first.node(NODE_1).last_request.set(20_000_000_000);
+    first.node(NODE_1).unanswered_since.set(10_000_000_000);
+    assert_eq!(waiting(), Some(10.0));
+    second.node(NODE_1).last_response.set(15_000_000_000);
+    assert_eq!(waiting(), Some(15.0), "another worker passed on an answer");
+    second.node(NODE_1).last_response.set(25_000_000_000);
+    assert_eq!(waiting(), None, "it answers others");
+}
+
+#[test]
 fn text_comes_net_by_net_and_only_when_asked_for() {
     let router = Router::idle(config(), 1);
     let mut chunks = Metrics::new(router.clone(), Sandbox::off()).chunks();
@@ -201,6 +222,6 @@ fn a_large_table_comes_in_pieces_that_are_small() {
         series += chunk.lines().filter(|line| !line.starts_with('#')).count();
         largest = largest.max(chunk.len());
     }
-    assert!(series > 64 * 125 * (23 + 6 + 13 + 1), "{series}");
+    assert!(series > 64 * 125 * (23 + 6 + 13 + 2), "{series}");
     assert!(largest < 512 * 1024, "{largest}");
 }

@@ -105,7 +105,8 @@ pub enum Presence {
     Answering,
     /// It was asked, and has not answered anybody for [`SILENCE`](Self::SILENCE).
     Silent,
-    /// Nobody has asked it for an answer since the start.
+    /// Nobody has asked it for an answer since the start, or its first answer is still due: until
+    /// then nothing is known of it.
     NeverAsked,
 }
 
@@ -151,12 +152,22 @@ impl NodeTotals {
 
     /// Whether the node is there, at a time from the router's start.
     pub fn presence(&self, now: Duration) -> Presence {
-        let Some(asked) = self.last_request else { return Presence::NeverAsked };
-        let waiting = self.unanswered_since.filter(|_| self.last_response < Some(asked));
+        let waiting = self.waiting_since().map(|since| now.saturating_sub(since));
+        if waiting > Some(Presence::SILENCE) {
+            Presence::Silent
+        } else if self.last_request.and(self.last_response).is_some() {
+            Presence::Answering
+        } else {
+            Presence::NeverAsked
+        }
+    }
+
+    /// Since when everybody waits who asked the node for an answer, from the router's start; none:
+    /// nobody waits.
+    pub fn waiting_since(&self) -> Option<Duration> {
+        let since = self.unanswered_since.filter(|_| self.last_response < self.last_request)?;
         // Another worker may have passed on a response since.
-        let waiting = waiting
-            .map(|since| now.saturating_sub(since.max(self.last_response.unwrap_or_default())));
-        if waiting > Some(Presence::SILENCE) { Presence::Silent } else { Presence::Answering }
+        Some(since.max(self.last_response.unwrap_or_default()))
     }
 
     fn sum<'a>(nodes: impl Iterator<Item = &'a NodeCounters>) -> Self {
@@ -254,7 +265,7 @@ mod tests {
         const IDLE: [u64; 3] = [0; 3];
         for (now, workers, expected) in [
             (99, [IDLE, IDLE], NeverAsked),
-            (12, [[10, 0, 10], IDLE], Answering), // it has some time for its first answer
+            (12, [[10, 0, 10], IDLE], NeverAsked), // it has some time for its first answer
             (16, [[10, 0, 10], IDLE], Silent),
             (99, [[10, 11, 0], IDLE], Answering),  // nobody asks
             (99, [[98, 50, 98], IDLE], Answering), // asked again after a pause

@@ -5,9 +5,7 @@ use std::io::Read;
 use std::path::Path;
 use std::process::{Command, Stdio};
 
-use nix::pty::openpty;
-
-use crate::harness::{Process, left_out, pnet_nat};
+use crate::harness::{Process, Relay, Settings, Site, Terminal, eventually, left_out, pnet_nat};
 
 fn stdout(arguments: &[&str]) -> String {
     let mut process = Process::start(pnet_nat(arguments));
@@ -69,9 +67,27 @@ fn the_version_tells_the_commit_where_it_is_known() {
     assert_eq!(told_of(&sources, &build, None), format!("1.2.3 ({commit})"));
     assert_eq!(told_of(&sources.join("inner"), &build, None), "1.2.3", "someone else's commit");
     assert_eq!(told_of(&sources, &build, Some("0123abc")), "1.2.3 (0123abc)");
+}
 
-    let version = stdout(&["--version"]);
-    assert!(version.starts_with(concat!("pnet-nat ", env!("CARGO_PKG_VERSION"))), "{version}");
+/// Also after a commit: cargo sees that there is another.
+#[test]
+fn the_program_tells_the_commit_that_it_is_built_from() {
+    let of_git = |arguments: &[&str]| {
+        let mut git = Command::new("git");
+        let output = git.arg("-C").arg(env!("CARGO_MANIFEST_DIR")).args(arguments).output().ok()?;
+        let text = String::from_utf8(output.stdout).unwrap();
+        output.status.success().then(|| text.trim().to_owned())
+    };
+    let is_repository =
+        of_git(&["rev-parse", "--show-toplevel"]).as_deref() == Some(env!("CARGO_MANIFEST_DIR"));
+    let said = std::env::var("PNET_NAT_COMMIT").ok().filter(|commit| !commit.is_empty());
+    let commit =
+        said.or_else(|| of_git(&["rev-parse", "--short=12", "HEAD"]).filter(|_| is_repository));
+    let version = match commit {
+        Some(commit) => format!(concat!("pnet-nat ", env!("CARGO_PKG_VERSION"), " ({})\n"), commit),
+        None => concat!("pnet-nat ", env!("CARGO_PKG_VERSION"), "\n").to_owned(),
+    };
+    assert_eq!(stdout(&["--version"]), version);
 }
 
 #[test]
@@ -121,30 +137,14 @@ fn every_command_has_a_manual_page_without_faults() {
     let text = String::from_utf8(output.stdout).unwrap();
     let alone = |example: &str| text.lines().any(|line| line.trim() == example);
     assert!(alone("Example: pnet-nat demo --seconds 10"), "{text}");
+    assert!(alone("pnet-nat status --watch --net section-1"), "{text}");
 }
 
 /// What a command writes to a terminal.
 fn on_a_terminal(arguments: &[&str], no_color: &str) -> String {
-    let terminal = openpty(None, None).unwrap();
-    let slave = || Stdio::from(terminal.slave.try_clone().unwrap());
-    let mut command = pnet_nat(arguments);
-    command.env("TERM", "xterm").env("NO_COLOR", no_color).env_remove("CLICOLOR");
-    command.env_remove("CLICOLOR_FORCE").stdin(Stdio::null()).stdout(slave()).stderr(slave());
-    let mut child = command.spawn().unwrap();
-    drop(command);
-    drop(terminal.slave);
-    let mut written = Vec::new();
-    // It ends with an error as soon as nobody can write to it any more.
-    let _ = std::fs::File::from(terminal.master).read_to_end(&mut written);
-    assert!(child.wait().unwrap().success());
-    String::from_utf8(written).unwrap()
-}
-
-/// Whether a text has colours, bold and the like: `ESC [ numbers m`.
-fn has_colours(text: &str) -> bool {
-    text.split("\x1b[").skip(1).any(|sequence| {
-        sequence.trim_start_matches(|c: char| c.is_ascii_digit() || c == ';').starts_with('m')
-    })
+    let mut terminal = Terminal::start(pnet_nat(arguments).env("NO_COLOR", no_color));
+    assert_eq!(terminal.end(), Some(0));
+    terminal.text()
 }
 
 #[test]
@@ -152,8 +152,94 @@ fn no_color_is_heeded_by_help_log_and_tables() {
     let demo = ["demo", "--seconds", "1", "--log-level", "info"];
     for arguments in [&["--help"][..], &demo] {
         let (usual, plain) = (on_a_terminal(arguments, ""), on_a_terminal(arguments, "1"));
-        assert!(has_colours(&usual), "{arguments:?}: {usual:?}");
-        assert!(!has_colours(&plain), "{arguments:?}: {plain:?}");
+        assert!(Terminal::has_colours(&usual), "{arguments:?}: {usual:?}");
+        assert!(!Terminal::has_colours(&plain), "{arguments:?}: {plain:?}");
         assert!(plain.contains("pnet-nat"), "{plain:?}");
+    }
+}
+
+/// As shells, Compose and Kubernetes write them.
+#[test]
+fn a_flag_in_the_environment_is_said_in_any_usual_way() {
+    let site = Site::claim();
+    let mut configuration = site.configuration(&Settings::default());
+    configuration = configuration.replace("\"1-4\", 33", "\"1-125\"");
+    let relay = Relay::start(&configuration, site.admin(), None);
+    let url = format!("http://{}", site.admin());
+    let config = relay.folder.path().join("pnet-nat.toml");
+    let commands =
+        [&["status", "--url", &url][..], &["check", "--config", config.to_str().unwrap()]];
+    for arguments in commands {
+        let lines = |full: &str| {
+            let mut command = pnet_nat(arguments);
+            command.env("PNET_NAT_FULL", full);
+            let mut process = Process::start(command);
+            assert_eq!(process.end(), Some(0), "{full}: {}", process.stderr());
+            process.stdout().lines().count()
+        };
+        for (yes, no) in [("1", "0"), ("yes", "no"), ("true", "false"), ("on", "off")] {
+            assert!(lines(yes) > 125, "{arguments:?}: {yes}");
+            assert!(lines(no) < 100, "{arguments:?}: {no}");
+        }
+    }
+    // It goes on to read its configuration, which is not there.
+    for said in ["1", "0", "yes", "no"] {
+        let mut command = pnet_nat(&["run", "--config", "/nowhere/pnet-nat.toml"]);
+        command.env("PNET_NAT_NO_SANDBOX", said);
+        let mut run = Process::start(command);
+        assert_eq!(run.end(), Some(2));
+        assert!(run.stderr().contains("/nowhere/pnet-nat.toml"), "{said}: {}", run.stderr());
+    }
+}
+
+/// As with `| head`.
+#[test]
+fn an_output_that_is_closed_is_no_fault() {
+    let site = Site::claim();
+    let relay = site.relay(Settings::default());
+    let url = format!("http://{}", site.admin());
+    let nobody = format!("http://{}/", site.address(4));
+    let (config, hex) =
+        (relay.folder.path().join("pnet-nat.toml"), relay.folder.path().join("hex"));
+    fs::write(&hex, "00\n").unwrap();
+    let (config, hex) = (config.to_str().unwrap(), hex.to_str().unwrap());
+    let password = relay.folder.path().join("secrets/section-1");
+    let password = password.to_str().unwrap();
+    let (node, port) = (site.address(1).to_string(), site.start_port().to_string());
+    for (arguments, code) in [
+        (&["check", "--config", config][..], 0),
+        (&["completions", "bash"], 0),
+        (&["decode", hex], 0),
+        (&["--help"], 0),
+        (&["node", "--listen", &node, "--password-file", password], 0),
+        (&["status", "--url", &url], 0),
+        (&["status", "--url", &url, "--watch"], 0),
+        // These tell more by their exit code.
+        (&["demo"], 1),
+        (&["healthcheck", "--url", &nobody], 1),
+        (
+            &[
+                "request",
+                "--to",
+                &node,
+                "--start-port",
+                &port,
+                "--node",
+                "1",
+                "--password-file",
+                password,
+            ],
+            1,
+        ),
+    ] {
+        let (reader, writer) = std::io::pipe().unwrap();
+        drop(reader);
+        let mut command = pnet_nat(arguments);
+        let mut child = command.stdout(writer).stderr(Stdio::piped()).spawn().unwrap();
+        drop(command);
+        let ended = eventually("it ends", || child.try_wait().unwrap());
+        let mut stderr = String::new();
+        child.stderr.take().unwrap().read_to_string(&mut stderr).unwrap();
+        assert_eq!((ended.code(), stderr.as_str()), (Some(code), ""), "{arguments:?}");
     }
 }

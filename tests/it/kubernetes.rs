@@ -4,31 +4,25 @@
 //! Needs kubectl and kubernetes-validate; running as the container's user needs root and setpriv.
 
 use std::fs::{self, Permissions};
-use std::io::Write;
 use std::os::unix::fs::{PermissionsExt, chown, symlink};
 use std::path::Path;
-use std::process::{Command, Output, Stdio};
+use std::process::Command;
 
 use nix::sys::signal::Signal;
 use nix::unistd::geteuid;
 use serde_json::Value;
 
-use crate::harness::{Metrics, PASSWORD, Process, Site, eventually, exchange, left_out, pnet_nat};
+use crate::harness::{
+    Metrics, PASSWORD, Process, Site, TOOLS, eventually, exchange, has_yaml, left_out, pnet_nat,
+    yaml,
+};
 
 const FOLDER: &str = "deploy/kubernetes";
-/// Where `.ci/run` installs the validator, which brings the schemas along.
-const TOOLS: &str = "target/kubernetes-validate/bin";
+const README: &str = include_str!("../../deploy/kubernetes/README.md");
 /// The oldest and the newest that are to take it.
 const VERSIONS: [&str; 2] = ["1.29", "1.37"];
 
 const TOKEN: &str = "s3cr3t-0123456789";
-
-fn feed(command: &mut Command, input: &str) -> Output {
-    let command = command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());
-    let mut child = command.spawn().unwrap();
-    child.stdin.take().unwrap().write_all(input.as_bytes()).unwrap();
-    child.wait_with_output().unwrap()
-}
 
 /// The manifests as text.
 fn build() -> Option<String> {
@@ -37,11 +31,7 @@ fn build() -> Option<String> {
         return None;
     };
     assert!(output.status.success(), "{output:?}");
-    if !Path::new(TOOLS).exists() {
-        left_out(&format!("kubernetes-validate, of PyPI, in {TOOLS}"));
-        return None;
-    }
-    Some(String::from_utf8(output.stdout).unwrap())
+    has_yaml().then(|| String::from_utf8(output.stdout).unwrap())
 }
 
 /// What the schemas have against manifests.
@@ -56,13 +46,7 @@ fn complaint(manifests: &str, version: &str) -> Option<String> {
 
 /// The manifest of this kind.
 fn manifest(manifests: &str, kind: &str) -> Value {
-    let mut python = Command::new(format!("{TOOLS}/python"));
-    python.args([
-        "-c",
-        "import json, sys, yaml; json.dump([*yaml.safe_load_all(sys.stdin)], sys.stdout)",
-    ]);
-    let all: Vec<Value> = serde_json::from_slice(&feed(&mut python, manifests).stdout).unwrap();
-    let mut found = all.into_iter().filter(|manifest| manifest["kind"] == kind);
+    let mut found = yaml(manifests).into_iter().filter(|manifest| manifest["kind"] == kind);
     let manifest = found.next().expect(kind);
     assert!(found.next().is_none(), "one {kind}");
     manifest
@@ -100,6 +84,7 @@ fn the_secret_is_one_that_the_schema_takes() {
     }
     let folder = tempfile::tempdir().unwrap();
     fs::write(folder.path().join("section-1"), PASSWORD).unwrap();
+    fs::write(folder.path().join("admin"), TOKEN).unwrap();
     let mut command = Command::new("kubectl");
     command.args(["create", "secret", "generic", "pnet-nat", "--namespace=pnet-nat"]);
     command.args(["--dry-run=client", "--output=yaml"]);
@@ -107,7 +92,38 @@ fn the_secret_is_one_that_the_schema_takes() {
     let output = command.output().unwrap();
     assert!(output.status.success(), "{output:?}");
     let secret = String::from_utf8(output.stdout).unwrap();
-    assert_eq!(manifest(&secret, "Secret")["data"]["section-1"], "czNjcjN0LUE=");
+    let data = &manifest(&secret, "Secret")["data"];
+    assert_eq!(data["section-1"], "czNjcjN0LUE=");
+    assert_eq!(data["admin"], "czNjcjN0LTAxMjM0NTY3ODk=");
+    for version in VERSIONS {
+        assert_eq!(complaint(&secret, version), None);
+        let wrong = secret.replace("  admin: czN", "  admin:\n  - czN");
+        assert!(complaint(&wrong, version).is_some(), "a list is no secret: {wrong}");
+    }
+}
+
+/// Rules and dashboard know the relays by the name of their job.
+#[test]
+fn the_scrape_job_of_readme_is_one_that_prometheus_takes() {
+    if !has_yaml() || Command::new("promtool").arg("--version").output().is_err() {
+        return left_out("promtool, of the package prometheus, and a parser of YAML");
+    }
+    let (_, job) = README.split_once("```yaml\n").unwrap();
+    let job = job.split("```").next().unwrap();
+    let jobs = &yaml(job)[0]["scrape_configs"];
+    assert_eq!(jobs[0]["job_name"], "pnet-nat");
+    let rules = include_str!("../../deploy/prometheus/pnet-nat.rules.yml");
+    assert!(rules.contains("up{job=\"pnet-nat\"}"));
+    // Debian's Prometheus cannot look for pods.
+    let (before, rest) = job.split_once("    kubernetes_sd_configs:\n").unwrap();
+    let (_, relabelling) = rest.split_once("    relabel_configs:\n").unwrap();
+    let targets = "    static_configs: [{ targets: [\"127.0.0.1:9378\"] }]\n    relabel_configs:\n";
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("prometheus.yml");
+    fs::write(&file, [before, targets, relabelling].concat()).unwrap();
+    let check = ["check", "config", "--syntax-only", file.to_str().unwrap()];
+    let output = Command::new("promtool").args(check).output().unwrap();
+    assert!(output.status.success(), "{output:?}");
 }
 
 /// Lays out a projected volume: `..data` leads to a folder, and each entry to one in there.

@@ -23,8 +23,11 @@ fn package(folder: &tempfile::TempDir) -> Option<PathBuf> {
         fs::create_dir_all(pages).unwrap();
         let made = pnet_nat(&["man", pages.to_str().unwrap()]).status().unwrap();
         assert!(made.success());
-        let completions = pnet_nat(&["completions", "bash"]).output().unwrap();
-        fs::write(pages.join("pnet-nat.bash"), completions.stdout).unwrap();
+        let shells = [("bash", "pnet-nat.bash"), ("zsh", "_pnet-nat"), ("fish", "pnet-nat.fish")];
+        for (shell, file) in shells {
+            let completions = pnet_nat(&["completions", shell]).output().unwrap();
+            fs::write(pages.join(file), completions.stdout).unwrap();
+        }
 
         let mut command = Command::new(env!("CARGO"));
         command.args(["deb", "--no-build", "--profile", "dev", "--fast", "--locked", "--offline"]);
@@ -134,8 +137,14 @@ fn installed_and_not_started(service: &Service) {
     assert_eq!(modes, "pnet-nat.toml 644 root\nsecrets 700 root\n");
     let listed = machine.run(&["dpkg-query", "--listfiles", "pnet-nat"]);
     let page = "/usr/share/man/man1/pnet-nat-run.1.gz";
-    let completions = "/usr/share/bash-completion/completions/pnet-nat";
-    for file in ["/usr/bin/pnet-nat", page, completions, "/etc/fail2ban/filter.d/pnet-nat.conf"] {
+    for file in [
+        "/usr/bin/pnet-nat",
+        page,
+        "/usr/share/bash-completion/completions/pnet-nat",
+        "/usr/share/zsh/vendor-completions/_pnet-nat",
+        "/usr/share/fish/vendor_completions.d/pnet-nat.fish",
+        "/etc/fail2ban/filter.d/pnet-nat.conf",
+    ] {
         assert!(listed.lines().any(|line| line == file), "{listed}");
     }
 }

@@ -1,7 +1,13 @@
 //! The status page in a real browser.
 
+use std::fs;
+use std::time::Duration;
+
+use serde_json::{Value, json};
+
 use crate::harness::{
-    Browser, Process, Relay, Settings, Site, WRONG, datagram, eventually, folder, pnet_nat, request,
+    Browser, Process, Relay, Settings, Site, WRONG, datagram, eventually, folder, pause, pnet_nat,
+    request,
 };
 use crate::scale::large_relay;
 
@@ -42,15 +48,103 @@ fn polling_client(site: &Site) -> Process {
     client
 }
 
-/// A relay whose clients may be anywhere on loopback.
-fn relay(site: &Site) -> Relay {
-    let configuration = site.configuration(&Settings::default());
+/// Of a relay whose clients may be anywhere on loopback, and whose buffers are soon full.
+fn configuration(site: &Site) -> String {
+    let runtime = "workers = 1\nreceive_buffer = 4096\ndrain = \"100ms\"";
+    let configuration = site.configuration(&Settings { runtime, ..Settings::default() });
     let allow = format!("allow = [\"{}/24\"]", site.address(0));
-    Relay::start(&configuration.replace(&allow, "allow = [\"127.0.0.0/8\"]"), site.admin(), None)
+    configuration.replace(&allow, "allow = [\"127.0.0.0/8\"]")
+}
+
+fn relay(site: &Site) -> Relay {
+    Relay::start(&configuration(site), site.admin(), None)
 }
 
 fn state_of(node_address: u8) -> String {
     format!("[data-net=section-1] [data-node=\"{node_address}\"] td")
+}
+
+/// Confinement, and a reload that fails.
+fn the_relay_itself_is_shown(browser: &Browser, relay: &Relay) {
+    let status: Value = serde_json::from_str(&relay.get("/api/v1/status").unwrap().1).unwrap();
+    let layers = status["sandbox"].as_array().unwrap();
+    assert_eq!(layers.len(), 5);
+    for layer in layers {
+        let [layer, state] = ["layer", "state"].map(|key| layer[key].as_str().unwrap());
+        browser.expect("#relay", &format!("{layer} {state}"));
+    }
+    browser.expect("#relay", "successful; the configuration in force is ");
+    let file = relay.folder.path().join("pnet-nat.toml");
+    let right = fs::read_to_string(&file).unwrap();
+    relay.configure(&right.replace("start_port", "start_prot"));
+    relay.reload();
+    browser.expect("#banner.bad", "The last reload failed, and the configuration before it");
+    browser.expect("#relay", "failed; the configuration in force is ");
+    relay.reload_to(&right);
+    browser.expect("#banner.good", "All 4 nodes that clients asked answer.");
+}
+
+#[test]
+fn a_reload_puts_nodes_and_nets_where_they_belong() {
+    let Some(browser) = Browser::start() else { return };
+    let site = Site::claim();
+    let relay = relay(&site);
+    browser.look(1280, 2400, false, "light");
+    browser.open(&format!("http://{}/", site.admin()));
+    let expect_nodes = |expected: &[u8]| {
+        eventually(&format!("the nodes are {expected:?}"), || {
+            let rows = "[data-net=section-1] [data-node]";
+            let nodes = browser.run(&format!(
+                "return Array.from(document.querySelectorAll('{rows}'), (row) => +row.dataset.node)"
+            ));
+            (nodes == json!(expected)).then_some(())
+        });
+    };
+    expect_nodes(&[1, 2, 3, 4, 33]);
+    let configuration = configuration(&site);
+    let (general, net) = configuration.split_once("[[udp_range_net]]").unwrap();
+    let port = format!("start_port = {}", site.start_port());
+    let first = net.replace("section-1", "section-0").replace("secrets/section-0", "secrets/press");
+    let first = first.replace(&port, &format!("start_port = {}", site.start_port() + 200));
+    let first = first.replace("\"1-4\", 33", "50");
+    let more = net.replace("\"1-4\", 33", "\"2-6\", 33");
+    relay.reload_to(&format!("{general}[[udp_range_net]]{first}[[udp_range_net]]{more}"));
+    expect_nodes(&[2, 3, 4, 5, 6, 33]);
+    let nets = browser.run(
+        "return Array.from(document.querySelectorAll('[data-net]'), (net) => net.dataset.net)",
+    );
+    assert_eq!(nets, json!(["section-0", "section-1"]));
+    relay.reload_to(&configuration);
+    expect_nodes(&[1, 2, 3, 4, 33]);
+    assert_eq!(browser.errors(), [""; 0]);
+}
+
+/// While a tab is hidden, nobody asks.
+#[test]
+fn a_rate_is_not_of_the_time_before_a_pause() {
+    let Some(browser) = Browser::start() else { return };
+    let site = Site::claim();
+    let _relay = relay(&site);
+    browser.open(&format!("http://{}/", site.admin()));
+    browser.expect("#banner", "No client has had an answer yet.");
+    let rates = browser.run(
+        "const rate = new Rate();
+        return [[0, 0], [2, 20], [3600, 60], [3602, 64]].map(([time, count]) => rate.add(time, count))",
+    );
+    assert_eq!(rates, json!([null, 10, null, 2]));
+    let times = browser.run(
+        "const times = new Times(), bounds = [1, 2];
+        times.add([0, 0, 0], 0);
+        times.add([4, 0, 0], 2);
+        times.add([4, 1000, 0], 3600);
+        return times.quantile(0.5, bounds)",
+    );
+    assert_eq!(times, json!(0.5), "what was answered in the meantime is not of now");
+}
+
+#[track_caller]
+fn expect_no_accessibility_faults(browser: &Browser, state: &str) {
+    assert_eq!(browser.accessibility_faults().unwrap_or_default(), [""; 0], "{state}");
 }
 
 #[test]
@@ -60,7 +154,7 @@ fn traffic_appears_and_a_node_that_dies_turns_silent() {
     let relay = relay(&site);
     browser.look(1280, 900, false, "light");
     browser.open(&format!("http://{}/", site.admin()));
-    browser.expect("#banner", "No client has asked a node yet.");
+    browser.expect("#banner", "No client has had an answer yet.");
     browser.expect(&state_of(1), "never asked");
     browser.expect("#drops-title ~ #no-drops", "Nothing was dropped.");
 
@@ -75,9 +169,23 @@ fn traffic_appears_and_a_node_that_dies_turns_silent() {
         let figures = browser.text("[data-node=\"1\"]");
         (figures.contains("/s") && figures.matches(" ms").count() >= 2).then_some(())
     });
-    let median = browser.text("[data-node=\"1\"] td:nth-of-type(4)");
-    let median: f64 = median.strip_suffix(" ms").unwrap().parse().unwrap();
+    let figure = |column, unit| {
+        let text = browser.text(&format!("[data-node=\"1\"] td:nth-of-type({column})"));
+        text.strip_suffix(unit).expect(&text).parse::<f64>().unwrap()
+    };
+    let median = figure(4, " ms");
     assert!((2.0..=50.0).contains(&median), "{median} ms, and the nodes wait 2 ms");
+    assert!(figure(2, " /s") > 0.0 && figure(3, " /s") > 0.0);
+    browser.expect("#tiles .tile:nth-child(4)", "Flows\n\n4\n\nof 65,536 at most");
+    eventually("every plot has a line", || {
+        let lines = browser.run(
+            "return Array.from(document.querySelectorAll('.plot path'), (path) =>
+                path.getAttribute('d').split('L').length)",
+        );
+        let points = lines.as_array().unwrap().iter().map(|points| points.as_u64().unwrap());
+        (lines.as_array().unwrap().len() == 7 && points.min() > Some(1)).then_some(())
+    });
+    the_relay_itself_is_shown(&browser, &relay);
 
     let wrong = request(4);
     let wrong = [&wrong[..wrong.len() - WRONG.len()], WRONG].concat();
@@ -88,11 +196,25 @@ fn traffic_appears_and_a_node_that_dies_turns_silent() {
     stranger.send(site.public(4), &datagram(&[0x99; 8], &[2, 0], WRONG));
     browser.expect("#drops", "someone who guesses");
     browser.expect("#tiles .tile:last-child", "3\n\nfrom 1 address");
+    browser.expect("[data-node=\"4\"] td:last-child", "4\nbad_length: 1, password_wrong: 3");
+    relay.process.hold();
+    (0..200).for_each(|_| stranger.send(site.public(4), &wrong));
+    relay.process.go_on();
+    browser.expect("#drops", "kernel: overflow");
+    browser
+        .expect("#drops", "Never seen by the relay: the receive buffer of a public port was full.");
 
     nodes.remove(2);
     browser.expect(&state_of(3), "silent");
     browser.expect("#banner", "1 node is silent:\n\nsection-1, node 3");
     assert_eq!(browser.run("return document.title"), "1 silent · pnet-nat");
+    let of_silent = browser.text("[data-node=\"3\"]");
+    assert!(of_silent.contains("last answer "), "{of_silent}");
+    assert_eq!(browser.text("#help li"), "", "it is closed");
+    browser.run("document.querySelector('#banner button:last-of-type').click()");
+    browser.expect("#help", "Does it take the password?");
+    expect_no_accessibility_faults(&browser, "help");
+    browser.run("document.querySelector('#help').open = false");
     for (name, width, is_phone, scheme) in [
         ("light", 1280, false, "light"),
         ("dark", 1280, false, "dark"),
@@ -103,7 +225,14 @@ fn traffic_appears_and_a_node_that_dies_turns_silent() {
         browser.screenshot(name);
         let wide = browser.run("return document.documentElement.scrollWidth");
         assert!(wide.as_u64() <= Some(width.into()), "{name}: {wide} wide");
-        assert_eq!(browser.accessibility_faults().unwrap_or_default(), [""; 0], "{name}");
+        let hidden = browser.run(
+            "return Array.from(document.querySelectorAll('.net td, #drops td')).filter((cell) => {
+                const { right } = cell.getBoundingClientRect();
+                return !cell.checkVisibility() || right > innerWidth;
+            }).length",
+        );
+        assert_eq!(hidden, 0, "{name}: figures that one does not see");
+        expect_no_accessibility_faults(&browser, name);
     }
 
     nodes.push(simulated_node(&site, 3));
@@ -112,6 +241,12 @@ fn traffic_appears_and_a_node_that_dies_turns_silent() {
 
     drop(relay);
     browser.expect("#banner", "The relay has not answered since");
+    assert_eq!(browser.run("return document.querySelectorAll('.stale').length"), 1);
+    for scheme in ["light", "dark"] {
+        browser.look(1280, 2400, false, scheme);
+        browser.screenshot(&format!("stale-{scheme}"));
+        expect_no_accessibility_faults(&browser, "stale");
+    }
 }
 
 #[test]
@@ -120,13 +255,31 @@ fn all_of_it_can_be_reached_by_keyboard() {
     let site = Site::claim();
     let _relay = relay(&site);
     browser.open(&format!("http://{}/", site.admin()));
-    browser.expect("#banner", "No client has asked a node yet.");
-    let focused =
-        || browser.run("return document.activeElement.closest('[data-net],#help')?.tagName");
+    browser.expect("#banner", "No client has had an answer yet.");
+    site.client().send(site.public(3), &request(3));
+    browser.expect("#banner", "1 node is silent:\n\nsection-1, node 3");
+    let wanted = browser.run(
+        "window.wanted = [...document.querySelectorAll('a, button, input, summary, [tabindex]')]
+            .filter((element) => element.checkVisibility());
+        window.reached = new Set();
+        return wanted.map((element) => element.tagName)",
+    );
+    for tag in ["A", "BUTTON", "SUMMARY", "DIV"] {
+        assert!(wanted.as_array().unwrap().contains(&tag.into()), "{tag}: {wanted}");
+    }
+    for _ in wanted.as_array().unwrap() {
+        browser.press(TAB);
+        browser.run("reached.add(document.activeElement)");
+    }
+    let missed = browser
+        .run("return wanted.filter((element) => !reached.has(element)).map((e) => e.outerHTML)");
+    assert_eq!(missed, json!([]));
+
     let is_open = || browser.run("return document.querySelector('[data-net]').open");
+    let focused = || browser.run("return document.activeElement.parentElement.dataset.net");
     eventually("the net has the focus", || {
         browser.press(TAB);
-        (focused() == "DETAILS").then_some(())
+        (focused() == "section-1").then_some(())
     });
     assert_eq!(is_open(), true);
     browser.press(ENTER);
@@ -149,16 +302,19 @@ fn a_token_is_asked_for_and_kept_for_the_tab() {
     browser.expect("#token-form", "Token");
     browser.look(390, 900, true, "dark");
     browser.screenshot("token");
-    assert_eq!(browser.accessibility_faults().unwrap_or_default(), [""; 0]);
+    expect_no_accessibility_faults(&browser, "token");
     assert_eq!(browser.text("#status"), "", "nothing is shown without it");
     browser.press(&format!("0123456789abcdef{ENTER}"));
     browser.expect("#token-error", "This is not the token.");
+    browser.run("document.dispatchEvent(new Event('visibilitychange'))"); // to another tab, and back
+    pause(Duration::from_millis(500));
+    assert_eq!(browser.text("#token-error"), "This is not the token.");
     browser.press(&format!("s3cr3t-0123456789{ENTER}"));
-    browser.expect("#banner", "No client has asked a node yet.");
+    browser.expect("#banner", "No client has had an answer yet.");
     browser.open(&url);
-    browser.expect("#banner", "No client has asked a node yet.");
+    browser.expect("#banner", "No client has had an answer yet.");
     let kept = browser.run("return [localStorage.length, document.cookie, location.href]");
-    assert_eq!(kept, serde_json::json!([0, "", url]));
+    assert_eq!(kept, json!([0, "", url]));
     for error in browser.errors() {
         assert!(error.contains("401 (Unauthorized)"), "{error}");
     }

@@ -231,6 +231,18 @@ fn header_and_ports_are_preferences() {
     assert_eq!(summary(&ranges), ["50000 → 40003 Len=25", found]);
 }
 
+/// Wireshark's dialogue changes ranges that were in force; tshark has no way to do that.
+#[test]
+fn ranges_that_covered_the_ports_of_p_net_leave_them_behind() {
+    let capture = pcap([(34378, &request(4)[..]), (34379, &request(4)), (34400, &request(4))]);
+    let Some(home) = Home::with(&capture) else { return };
+    let before = "\nranges = \"34000-35000\"\nby_port:add(ranges, pnet)\n";
+    let plugin = home.0.path().join(".local/lib/wireshark/plugins/pnet.lua");
+    fs::write(plugin, DISSECTOR.to_owned() + before).unwrap();
+    let protocols = home.read(&["-T", "fields", "-e", "_ws.col.Protocol"]);
+    assert_eq!(protocols.lines().collect::<Vec<_>>(), ["P-NET", "P-NET", "UDP"]);
+}
+
 #[test]
 fn the_commands_of_readme_work_as_written() {
     let Some(home) = Home::with(&pcap([(40003, &request(3)[..])])) else { return };

@@ -11,12 +11,6 @@ const STATES = {
   silent: ["▲", "silent"],
   never_asked: ["○", "never asked"],
 };
-const KERNEL_CAUSES = {
-  overflow:
-    "Never seen by the relay: a receive buffer was full. Raise receive_buffer, add workers.",
-  prefilter:
-    "Refused by the kernel for their length, header or password, while a public port was flooded, or with prefilter = \"always\" from the start on.",
-};
 
 // ── Asking ──────────────────────────────────────────────────────────────────────────────────────
 
@@ -36,13 +30,17 @@ async function ask(path) {
 
 // ── Figures over time ───────────────────────────────────────────────────────────────────────────
 
+/** So many seconds without a look are a pause: what happened then says nothing of now. */
+let pause = RATE_SECONDS;
+
 /** The rate of a counter. */
 class Rate {
   #samples = [];
 
   add(time, value) {
     const samples = this.#samples;
-    if (samples.length && value < samples.at(-1)[1]) samples.length = 0; // it began anew
+    const [before, count] = samples.at(-1) ?? [time, value];
+    if (value < count || time - before > pause) samples.length = 0; // it, or we, began anew
     samples.push([time, value]);
     while (samples.length > 2 && samples[1][0] <= time - RATE_SECONDS) samples.shift();
     return this.now;
@@ -68,7 +66,8 @@ class Times {
       this.#weights = buckets.map((count) => (sum ? count / sum : 0));
     } else {
       const fade = Math.exp(-elapsed / TIMES_SECONDS);
-      this.#weights = this.#weights.map((w, i) => w * fade + buckets[i] - this.#last[i]);
+      const since = (i) => (elapsed > pause ? 0 : buckets[i] - this.#last[i]);
+      this.#weights = this.#weights.map((w, i) => w * fade + since(i));
     }
     this.#last = buckets;
   }
@@ -125,6 +124,15 @@ function make(tag, attributes = {}, ...children) {
 /** Touches the page only where something changed. */
 function write(element, text) {
   if (element.textContent !== text) element.textContent = text;
+}
+
+/** Has these elements in a place, in this order; those that stay are not moved. */
+function arrange(place, elements) {
+  const wanted = new Set(elements);
+  for (const child of [...place.children]) if (!wanted.has(child)) child.remove();
+  for (const [i, element] of elements.entries()) {
+    if (place.children[i] !== element) place.insertBefore(element, place.children[i] ?? null);
+  }
 }
 
 function svg(tag, attributes = {}) {
@@ -207,6 +215,12 @@ function drops(...directions) {
   return sums;
 }
 
+/** What the kernel dropped, by the names that `reasons` has for it. */
+const named = (place, causes) => ({
+  dropped_datagrams: Object.fromEntries(
+    Object.entries(causes).map(([cause, count]) => [place + cause, count])),
+});
+
 const total = (counts) => Object.values(counts).reduce((a, b) => a + b, 0);
 
 /** What a net and a node have in common. */
@@ -228,6 +242,9 @@ class Traffic {
   }
 }
 
+/** Columns of figures; on a phone they stand beside the figures. */
+const FIGURES = ["Requests", "Answers", "Median", "99 %", "Dropped"];
+
 /** A row of a net's table. */
 class NodeRow {
   traffic = new Traffic();
@@ -239,8 +256,10 @@ class NodeRow {
     this.word = make("span");
     this.since = make("small");
     this.state = make("td", {}, this.mark, " ", this.word, this.since);
-    const number = (extra = "") => make("td", { class: `number ${extra}` });
-    this.figures = [number(), number("wide"), number(), number("wide"), number()];
+    this.figures = FIGURES.map((title) =>
+      make("td", { class: "number", "data-title": title }, make("span")));
+    this.why = make("small");
+    this.figures.at(-1).append(this.why);
     this.row = make("tr", { "data-node": node.node }, head, this.state, ...this.figures);
   }
 
@@ -261,9 +280,9 @@ class NodeRow {
       duration(this.traffic.quantile(0.99)),
       whole.format(total(dropped)),
     ];
-    texts.forEach((text, i) => write(this.figures[i], text));
-    const why = Object.entries(dropped).map(([reason, count]) => `${reason}: ${count}`).join(", ");
-    if (this.figures[4].title !== why) this.figures[4].title = why;
+    texts.forEach((text, i) => write(this.figures[i].firstChild, text));
+    const why = Object.entries(dropped).map(([reason, count]) => `${reason}: ${count}`);
+    write(this.why, why.join(", "));
   }
 }
 
@@ -285,10 +304,9 @@ class NetView {
     const name = make("b", {}, net.name);
     this.summary = make("summary", {}, name, ...this.states.values(), ...this.figures);
     this.body = make("tbody");
-    const columns = [
-      ["Node", ""], ["State", ""], ["Requests", "number"], ["Answers", "number wide"],
-      ["Median", "number"], ["99 %", "number wide"], ["Dropped", "number"],
-    ].map(([title, style]) => make("th", { scope: "col", class: style }, title));
+    const column = (title, style) => make("th", { scope: "col", class: style }, title);
+    const columns = [column("Node", ""), column("State", ""),
+      ...FIGURES.map((title) => column(title, "number"))];
     const table = make("table", { "aria-label": `Nodes of ${net.name}` },
       make("thead", {}, make("tr", {}, ...columns)), this.body);
     const region = { class: "table", tabindex: "0", role: "region",
@@ -339,22 +357,15 @@ class NetView {
   }
 
   showNodes(time, states) {
-    const gone = new Set(this.rows.keys());
+    const before = this.rows;
+    this.rows = new Map();
     for (const state of states) {
       const key = `${state.node} ${state.public_port} ${state.server}`;
-      gone.delete(key);
-      let row = this.rows.get(key);
-      if (!row) {
-        row = new NodeRow(state);
-        this.rows.set(key, row);
-        this.body.append(row.row);
-      }
+      const row = before.get(key) ?? new NodeRow(state);
+      this.rows.set(key, row);
       row.show(time, state);
     }
-    for (const key of gone) {
-      this.rows.get(key).row.remove();
-      this.rows.delete(key);
-    }
+    arrange(this.body, [...this.rows.values()].map(({ row }) => row));
   }
 }
 
@@ -372,22 +383,18 @@ const sight = new IntersectionObserver((entries) => {
 });
 
 function showNets(time, states, status) {
-  const gone = new Set(nets.keys());
+  const before = new Map(nets);
+  nets.clear();
   for (const state of states) {
-    gone.delete(state.name);
-    let net = nets.get(state.name);
+    let net = before.get(state.name);
     if (!net) {
       net = new NetView(state, status.public_ports <= FEW_PORTS);
-      nets.set(state.name, net);
-      $("nets").append(net.details);
       sight.observe(net.details);
     }
+    nets.set(state.name, net);
     net.show(time, state);
   }
-  for (const name of gone) {
-    nets.get(name).details.remove();
-    nets.delete(name);
-  }
+  arrange($("nets"), [...nets.values()].map(({ details }) => details));
 }
 
 const RATES = { requests: new Rate(), dropped: new Rate(), passwords: new Rate() };
@@ -431,24 +438,18 @@ function showTiles(time, status, states, dropped) {
   TILES.passwords.add(time, wrongRate);
 }
 
-function showDrops(time, dropped, kernel) {
+function showDrops(time, dropped) {
   const rates = new Map();
-  for (const reason of Object.keys(reasons)) rates.set(reason, dropped[reason] ?? 0);
-  for (const [cause, count] of Object.entries(kernel)) rates.set(`kernel: ${cause}`, count);
-  for (const [reason, count] of rates) {
+  for (const reason of Object.keys(reasons)) {
     if (!REASON_RATES.has(reason)) REASON_RATES.set(reason, new Rate());
-    rates.set(reason, REASON_RATES.get(reason).add(time, count));
+    rates.set(reason, REASON_RATES.get(reason).add(time, dropped[reason] ?? 0));
   }
-  const rows = [
-    ...Object.entries(dropped).map(([reason, count]) => [reason, count, reasons[reason]]),
-    ...Object.entries(kernel).filter(([, count]) => count)
-      .map(([cause, count]) => [`kernel: ${cause}`, count, KERNEL_CAUSES[cause]]),
-  ].sort(([, a], [, b]) => b - a);
+  const rows = Object.entries(dropped).filter(([, count]) => count).sort(([, a], [, b]) => b - a);
   $("no-drops").hidden = rows.length > 0;
   $("drops").hidden = rows.length === 0;
   const body = $("drops").tBodies[0];
   while (body.rows.length > rows.length) body.lastChild.remove();
-  for (const [i, [reason, count, why]] of rows.entries()) {
+  for (const [i, [reason, count]] of rows.entries()) {
     if (!body.rows[i]) {
       body.append(make("tr", {}, make("th", { scope: "row" }, make("code")),
         make("td", { class: "number" }), make("td", { class: "number" }), make("td")));
@@ -456,13 +457,14 @@ function showDrops(time, dropped, kernel) {
     const [name, sum, perSecond, meaning] = body.rows[i].cells;
     write(name.firstChild, reason);
     write(sum, whole.format(count));
-    write(perSecond, rate(rates.get(reason)));
-    write(meaning, (why ?? "").replaceAll("`", ""));
+    write(perSecond, rate(rates.get(reason) ?? null));
+    write(meaning, (reasons[reason] ?? "").replaceAll("`", ""));
   }
 }
 
 function showRelay(status) {
-  write($("process"), `${status.version}, up for ${age(status.uptime_seconds)}`);
+  const build = status.commit ? `${status.version} (${status.commit})` : status.version;
+  write($("process"), `${build}, up for ${age(status.uptime_seconds)}`);
   const { reload, sandbox } = status;
   const inForce = `the configuration in force is ${age(reload.in_force_seconds)} old`;
   const layers = sandbox.map(({ layer, state, why }) => `${layer} ${state}${why ? ` (${why})` : ""}`);
@@ -499,7 +501,7 @@ function showBanner(status, states, lost) {
   const bad = lines.length > 0;
   if (!bad) {
     lines.push(answering ? `● ${answering === 1 ? "The one node" : `All ${nodes(answering)}`} that clients asked ${answering === 1 ? "answers" : "answer"}.`
-      : "○ Relaying. No client has asked a node yet.");
+      : "○ Relaying. No client has had an answer yet.");
   }
   document.title = silent.length ? `${whole.format(silent.length)} silent · pnet-nat` : "pnet-nat";
   const key = JSON.stringify([lines, silent.slice(0, SHOWN_SILENT), silent.length]);
@@ -554,11 +556,13 @@ async function poll() {
   $("token-form").hidden = true;
   const dropped = drops(status.stray_responses,
     ...states.flatMap(({ request, response }) => [request, response]));
-  const kernel = drops(...states.map((net) => ({ dropped_datagrams: net.kernel_dropped_datagrams })));
+  const kernel = drops(
+    ...states.map((net) => named("kernel: ", net.kernel_dropped_datagrams)),
+    named("kernel: upstream ", status.upstream_kernel_dropped_datagrams));
   showBanner(status, states, null);
   showTiles(time, status, states, dropped);
   showNets(time, states, status);
-  showDrops(time, dropped, kernel);
+  showDrops(time, { ...dropped, ...kernel });
   showRelay(status);
   for (const net of nets.values()) {
     if (net.details.open && net.inSight) await net.look();
@@ -586,8 +590,9 @@ async function round() {
   }
   running = false;
   // A relay or browser that is slow is asked less often.
-  const took = performance.now() - began;
-  timer = setTimeout(round, Math.max(2000, 10 * took));
+  const wait = Math.max(2000, 10 * (performance.now() - began));
+  pause = Math.max(RATE_SECONDS, (3 * wait) / 1000);
+  timer = setTimeout(round, wait);
 }
 
 function askForToken() {
@@ -605,5 +610,7 @@ $("token-form").addEventListener("submit", (event) => {
   $("token").value = "";
   round();
 });
-document.addEventListener("visibilitychange", round);
+document.addEventListener("visibilitychange", () => {
+  if ($("token-form").hidden) round(); // without the token there is nothing to ask
+});
 round();

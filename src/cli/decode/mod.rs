@@ -10,7 +10,7 @@ mod line;
 mod packet;
 
 use std::fs::File;
-use std::io::{self, BufRead, BufReader, ErrorKind, Read, Write, stdin, stdout};
+use std::io::{self, BufRead, BufReader, Read, Write, stdin, stdout};
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::str::FromStr;
@@ -83,16 +83,8 @@ pub(super) fn run(args: Args) -> anyhow::Result<ExitCode> {
         let name = args.file.display().to_string();
         (Box::new(File::open(&args.file).with_context(|| name.clone())?), name)
     };
-    match decode(BufReader::new(input), &args, &mut stdout()) {
-        // Whoever reads the output has seen enough of it.
-        Err(error) if is_broken_pipe(&error) => {}
-        done => done.context(name)?,
-    }
+    decode(BufReader::new(input), &args, &mut stdout()).context(name)?;
     Ok(ExitCode::SUCCESS)
-}
-
-fn is_broken_pipe(error: &anyhow::Error) -> bool {
-    error.downcast_ref().is_some_and(|error: &io::Error| error.kind() == ErrorKind::BrokenPipe)
 }
 
 fn decode(mut input: impl BufRead, args: &Args, out: &mut impl Write) -> anyhow::Result<()> {

@@ -9,11 +9,13 @@ use std::fs;
 use std::io::{self, IsTerminal, Write, stdout};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, anyhow, bail};
-use serde_json::{Value, json};
-use terminal_size::terminal_size;
+use clap::builder::BoolishValueParser;
+use serde_json::{Map, Value, json};
+use terminal_size::{Height, Width, terminal_size_of};
 use ureq::Agent;
 
 use super::agent;
@@ -63,7 +65,7 @@ pub(super) struct Args {
     net: Option<String>,
 
     /// Every node; without it, of more than 100 only those that are silent.
-    #[arg(long, env = "PNET_NAT_FULL")]
+    #[arg(long, env = "PNET_NAT_FULL", value_parser = BoolishValueParser::new())]
     full: bool,
 
     /// Show it anew every 2 s, or as often as said, with rates, until Ctrl-C.
@@ -94,25 +96,33 @@ pub(super) fn run(args: Args) -> anyhow::Result<ExitCode> {
     let Some(interval) = args.watch else {
         let text = match args.format {
             Format::Json => format!("{}\n", relay.ask()?),
-            Format::Text => paper(args.full).draw(&Seen::read(relay.ask()?)?, None, &relay.url),
+            Format::Text => paper(args.full).draw(&relay.read(relay.ask()?)?, None, &relay.url),
         };
         stdout().write_all(text.as_bytes())?;
         return Ok(ExitCode::SUCCESS);
     };
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
-    runtime.block_on(watch(&args, &relay, interval))
+    let outcome = runtime.block_on(watch(&args, relay.into(), interval));
+    // A thread of the runtime may still wait for an answer: leave it there.
+    runtime.shutdown_background();
+    outcome
 }
 
 /// A relay that does not answer now may do so again: that is shown, and is no end.
-async fn watch(args: &Args, relay: &Relay, interval: Duration) -> anyhow::Result<ExitCode> {
+async fn watch(args: &Args, relay: Arc<Relay>, interval: Duration) -> anyhow::Result<ExitCode> {
     let mut signals = Signals::new()?;
     let mut before: Option<(Instant, Seen)> = None;
     loop {
         let now = Instant::now();
-        let text = match (relay.ask(), args.format) {
+        let asked = Arc::clone(&relay);
+        let answer = tokio::select! {
+            answer = tokio::task::spawn_blocking(move || asked.ask()) => answer?,
+            _ = signals.next() => return Ok(ExitCode::SUCCESS),
+        };
+        let text = match (answer, args.format) {
             (Ok(answer), Format::Json) => format!("{answer}\n"),
             (Ok(answer), Format::Text) => {
-                let seen = Seen::read(answer)?;
+                let seen = relay.read(answer)?;
                 let earlier = before.as_ref().map(|(then, seen)| (now - *then, seen));
                 let text = paper(args.full).draw(&seen, earlier, &relay.url);
                 before = Some((now, seen));
@@ -132,7 +142,7 @@ async fn watch(args: &Args, relay: &Relay, interval: Duration) -> anyhow::Result
 /// Shows a table in place of the one before it, as far as the terminal has room.
 fn show(text: &str, format: Format) -> io::Result<()> {
     let mut out = stdout().lock();
-    let (Some((_, height)), Format::Text) = (terminal_size(), format) else {
+    let (Some((_, height)), Format::Text) = (terminal(), format) else {
         out.write_all(text.as_bytes())?;
         return out.flush();
     };
@@ -149,12 +159,16 @@ fn show(text: &str, format: Format) -> io::Result<()> {
 }
 
 fn paper(full: bool) -> Paper {
-    let terminal = stdout().is_terminal();
     Paper {
-        paint: Paint { colour: terminal && !no_color() },
-        width: terminal_size().filter(|_| terminal).map(|(width, _)| width.0),
+        paint: Paint { colour: stdout().is_terminal() && !no_color() },
+        width: terminal().map(|(width, _)| width.0),
         full,
     }
+}
+
+/// The size of the terminal that stdout is; none where it is another thing.
+fn terminal() -> Option<(Width, Height)> {
+    terminal_size_of(stdout())
 }
 
 /// The way to a relay's API.
@@ -176,15 +190,20 @@ impl Relay {
 
     /// All that is shown, as one object.
     fn ask(&self) -> anyhow::Result<Value> {
-        let mut nets = self.get("/api/v1/nets", self.net.as_deref())?;
+        let nets = self.get("/api/v1/nets", self.net.as_deref())?.remove("nets");
+        let nets = nets.with_context(|| not_the_api(&self.url))?;
         Ok(json!({
             "status": self.get("/api/v1/status", None)?,
             "drop_reasons": self.get("/api/v1/drop-reasons", None)?,
-            "nets": nets["nets"].take(),
+            "nets": nets,
         }))
     }
 
-    fn get(&self, path: &str, net: Option<&str>) -> anyhow::Result<Value> {
+    fn read(&self, answer: Value) -> anyhow::Result<Seen> {
+        Seen::read(answer, self.net.is_some())
+    }
+
+    fn get(&self, path: &str, net: Option<&str>) -> anyhow::Result<Map<String, Value>> {
         let url = format!("{}{path}", self.url);
         let mut request = self.agent.get(&url);
         if let Some(net) = net {
@@ -204,13 +223,16 @@ impl Relay {
         let text = answer.body_mut().with_config().limit(MOST_OCTETS).read_to_string();
         let text = text.map_err(no_answer)?;
         match (answer.status().as_u16(), &self.bearer) {
-            (200, _) => serde_json::from_str(&text)
-                .with_context(|| format!("{url} is not the API of a pnet-nat")),
+            (200, _) => serde_json::from_str(&text).with_context(|| not_the_api(&url)),
             (401, None) => bail!("{url} asks for a token: --token-file, as in [admin] token_file"),
             (401, Some(_)) => bail!("{url} has another token than the one of --token-file"),
             (status, _) => bail!("{url} answered {status}: {}", text.trim_end()),
         }
     }
+}
+
+fn not_the_api(url: &str) -> String {
+    format!("{url} is not the API of a pnet-nat")
 }
 
 fn bearer(path: &Path) -> anyhow::Result<String> {

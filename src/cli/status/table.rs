@@ -1,5 +1,6 @@
 //! How a look at a relay is drawn: a few lines about the relay, then nets, nodes and drop reasons.
 
+use std::collections::BTreeMap;
 use std::fmt::Write;
 use std::time::Duration;
 
@@ -10,6 +11,14 @@ use super::seen::{Net, Node, Seen, Status, Traffic};
 
 /// So many nodes are a list for a person.
 const MOST_NODES: u64 = 100;
+
+/// What to do about a silent node; the status page says it at length.
+const SILENT: &str = "
+A silent node: ping its server from the router. No answer: its power, cable or address. All of a
+net silent: the way to it, of which send_failed below tells. It is there, and says nothing: its
+Secure port, and its password. unknown_flow below grows: it answers from elsewhere. To ask it as
+the relay does: pnet-nat request --help
+";
 
 /// What it is drawn on.
 #[derive(Clone, Copy, Debug)]
@@ -28,17 +37,26 @@ impl Paper {
     /// Draws it: counts since the start, or rates since an earlier look.
     pub(super) fn draw(self, seen: &Seen, earlier: Earlier<'_>, url: &str) -> String {
         let mut text = self.relay(&seen.status, url);
+        if !seen.is_one_net {
+            let flows: u64 = seen.nets.iter().map(|net| net.flows).sum();
+            let _ = writeln!(text, "Flows: {flows} of {}", seen.status.max_flows);
+        }
         let nets = net_rows(seen, earlier);
         let _ = write!(text, "\n{}\n", self.table(net_header(earlier.is_some()), &nets));
         text += &self.nodes(seen, earlier);
-        text += &self.drops(seen);
+        if seen.nets.iter().any(|net| !net.silent_nodes.is_empty()) {
+            text += SILENT;
+        }
+        text += &self.drops(seen, earlier);
         text
     }
 
     fn relay(self, status: &Status, url: &str) -> String {
         let Status { version, public_ports, .. } = status;
+        let commit = status.commit.as_ref().map(|commit| format!(" ({commit})"));
         let mut text = format!(
-            "pnet-nat {version} at {url}, up for {}, {public_ports} public ports\n",
+            "pnet-nat {version}{} at {url}, up for {}, {public_ports} public ports\n",
+            commit.unwrap_or_default(),
             age(status.uptime_seconds)
         );
         if !status.ready {
@@ -96,25 +114,34 @@ impl Paper {
         text
     }
 
-    fn drops(self, seen: &Seen) -> String {
+    fn drops(self, seen: &Seen, earlier: Earlier<'_>) -> String {
         let dropped = seen.dropped();
         if dropped.is_empty() {
             return "\nNothing was dropped.\n".to_owned();
         }
+        let before: Option<(Duration, BTreeMap<_, _>)> =
+            earlier.map(|(ago, seen)| (ago, seen.dropped().into_iter().collect()));
         let meaning = |reason| seen.drop_reasons.get(reason).map_or("", String::as_str);
         let rows = dropped.iter().map(|(reason, count)| {
-            [(*reason).to_owned(), count.to_string(), meaning(*reason).replace('`', "")]
+            let mut row = vec![reason.clone(), count.to_string()];
+            row.extend(before.as_ref().map(|(ago, before)| {
+                rate(*ago, *count, before.get(reason).copied().unwrap_or_default())
+            }));
+            row.push(meaning(reason).replace('`', ""));
+            row
         });
-        let header = ["Dropped", "Since start", "What it means, what to do"];
+        let mut header = vec!["Dropped", "Since start"];
+        header.extend(before.as_ref().map(|_| "A second"));
+        header.push("What it means, what to do");
         let mut table = plain(header, &rows.collect::<Vec<_>>());
         if let Some(width) = self.width {
             table.set_content_arrangement(ContentArrangement::Dynamic).set_width(width);
         }
-        let Status { wrong_password_sources: sources, wrong_password_sources_at_most, .. } =
-            seen.status;
-        let or_more = if sources >= wrong_password_sources_at_most { " or more" } else { "" };
         let mut text = format!("\n{table}\n");
+        let sources = seen.wrong_password_sources();
         if sources > 0 {
+            let at_most = seen.status.wrong_password_sources_at_most;
+            let or_more = if sources >= at_most { " or more" } else { "" };
             let addresses = if sources == 1 { "address" } else { "addresses" };
             let _ = writeln!(text, "\nWrong passwords came from {sources}{or_more} {addresses}.");
         }
@@ -130,12 +157,15 @@ impl Paper {
     }
 }
 
-fn plain<const COLUMNS: usize>(header: [&str; COLUMNS], rows: &[[String; COLUMNS]]) -> Table {
+fn plain<Row>(header: impl Into<comfy_table::Row>, rows: &[Row]) -> Table
+where
+    Row: AsRef<[String]> + Clone + Into<comfy_table::Row>,
+{
     let mut table = Table::new();
-    table.load_preset(presets::ASCII_MARKDOWN).set_header(header).add_rows(rows);
+    table.load_preset(presets::ASCII_MARKDOWN).set_header(header).add_rows(rows.to_vec());
     let is_figure = |text: &String| text == "–" || text.starts_with(|c: char| c.is_ascii_digit());
     for (index, column) in table.column_iter_mut().enumerate() {
-        if rows.iter().all(|row| is_figure(&row[index])) {
+        if rows.iter().all(|row| is_figure(&row.as_ref()[index])) {
             column.set_cell_alignment(CellAlignment::Right);
         }
     }
@@ -218,11 +248,13 @@ fn traffic(now: &Traffic, earlier: Option<(Duration, Option<&Traffic>)>) -> [Str
     [request, response].map(|count| match earlier {
         None => count(now).to_string(),
         Some((_, None)) => "–".to_owned(),
-        Some((ago, Some(before))) => {
-            let more = count(now).saturating_sub(count(before));
-            format!("{:.1}", more as f64 / ago.as_secs_f64())
-        }
+        Some((ago, Some(before))) => rate(ago, count(now), count(before)),
     })
+}
+
+/// How often a second something was counted since an earlier look.
+fn rate(ago: Duration, now: u64, before: u64) -> String {
+    format!("{:.1}", now.saturating_sub(before) as f64 / ago.as_secs_f64())
 }
 
 fn duration(seconds: Option<f64>) -> String {

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use nix::fcntl::{Flock, FlockArg};
-use serde_json::Value;
+use serde_json::{Value, json};
 use tempfile::TempDir;
 
 use super::engine::{Image, docker, output};
@@ -38,6 +38,12 @@ fn the_try_out_comes_up_and_is_watched() {
     assert_eq!(project.query("ALERTS"), [] as [Value; 0]);
     let dropped = project.query("pnet_nat_dropped_datagrams_total > 0");
     assert_eq!(dropped, [] as [Value; 0]);
+
+    // What README has people try.
+    project.compose(&["stop", "node-3"]);
+    eventually("node 3 is silent", || (project.silent_nodes() == json!([3])).then_some(()));
+    project.compose(&["start", "node-3"]);
+    eventually("it answers again", || (project.silent_nodes() == json!([])).then_some(()));
 
     project.compose(&["stop", "router"]);
     let router = project.compose(&["ps", "--quiet", "--all", "router"]);
@@ -124,6 +130,16 @@ impl Project {
         // Any free ports.
         command.envs([("PROMETHEUS_PORT", ""), ("GRAFANA_PORT", "")]);
         command
+    }
+
+    /// Those of the one net, as `pnet-nat status` in the router tells.
+    fn silent_nodes(&self) -> Value {
+        let status =
+            ["pnet-nat", "status", "--url", "http://10.17.18.250:9378", "--format", "json"];
+        let token = ["--token-file", "/run/secrets/admin"];
+        let told = self.compose(&[&["exec", "-T", "router"], &status[..], &token].concat());
+        let mut told: Value = serde_json::from_str(&told).unwrap();
+        told["nets"][0]["silent_nodes"].take()
     }
 
     /// What a query of Prometheus finds now.

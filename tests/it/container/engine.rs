@@ -10,6 +10,8 @@ use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 use crate::harness::{eventually, left_out};
 
 const REPOSITORY: &str = env!("CARGO_MANIFEST_DIR");
+/// The commit that an image is told.
+pub(super) const COMMIT: &str = "0123456789ab";
 /// What the Dockerfile's build gets to see.
 const IGNORE: &str = include_str!("../../../deploy/container/Dockerfile.dockerignore");
 
@@ -53,13 +55,19 @@ impl Image {
         let context = tempfile::tempdir().unwrap();
         fs::copy(program, context.path().join("pnet-nat")).unwrap();
         let dockerfile = format!("{REPOSITORY}/deploy/container/prebuilt.Dockerfile");
-        Some(Self::build(Path::new(&dockerfile), context.path()))
+        let commit = format!("PNET_NAT_COMMIT={COMMIT}");
+        Some(Self::build_with(&["--build-arg", &commit], Path::new(&dockerfile), context.path()))
     }
 
     pub(super) fn build(dockerfile: &Path, context: &Path) -> Self {
+        Self::build_with(&[], dockerfile, context)
+    }
+
+    fn build_with(options: &[&str], dockerfile: &Path, context: &Path) -> Self {
         let image = Self(name());
         let mut build = Command::new("docker");
-        build.args(["build", "--quiet", "--tag", &image.0, "--file"]).arg(dockerfile).arg(context);
+        build.args(["build", "--quiet", "--tag", &image.0]).args(options);
+        build.arg("--file").arg(dockerfile).arg(context);
         output(&mut build);
         image
     }

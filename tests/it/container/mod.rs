@@ -8,7 +8,7 @@ use std::os::unix::fs::chown;
 use std::path::Path;
 use std::process::Command;
 
-use self::engine::{Bridge, Container, Image, docker};
+use self::engine::{Bridge, COMMIT, Container, Image, docker};
 use crate::harness::{
     FIGURE_10, Peer, Place, Process, Relay, Settings, Site, WRONG, datagram, eventually, exchange,
     folder,
@@ -40,7 +40,15 @@ fn the_image_is_small_and_says_what_it_is() {
     let octets: u64 = of("{{.Size}}").parse().unwrap();
     assert!(octets < MOST_OCTETS, "{octets}");
     assert_eq!(of("{{.Config.User}}"), "65532:65532");
-    assert_eq!(of("{{index .Config.Labels \"org.opencontainers.image.title\"}}"), "pnet-nat");
+    for (label, text) in [
+        ("title", "pnet-nat"),
+        ("licenses", env!("CARGO_PKG_LICENSE")),
+        ("version", env!("CARGO_PKG_VERSION")),
+        ("revision", COMMIT),
+    ] {
+        let label = format!("{{{{index .Config.Labels \"org.opencontainers.image.{label}\"}}}}");
+        assert_eq!(of(&label), text, "{label}");
+    }
     println!("the image has {octets} octets");
 
     // Nobody is there to be asked.

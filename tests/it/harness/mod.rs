@@ -14,6 +14,8 @@ mod pcap;
 mod process;
 mod relay;
 mod site;
+mod terminal;
+mod yaml;
 
 use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
 use std::time::{Duration, Instant};
@@ -30,6 +32,8 @@ pub(crate) use pcap::{frame, header, pcap, udp};
 pub(crate) use process::{Process, pnet_nat, pnet_nat_within};
 pub(crate) use relay::{ANNOTATED, Place, Relay, Settings, folder};
 pub(crate) use site::{Peer, Site, close, exchange};
+pub(crate) use terminal::Terminal;
+pub(crate) use yaml::{TOOLS, has_yaml, yaml};
 
 /// How long something may take that should take no time: a busy machine is not a fault.
 pub(crate) const PATIENCE: Duration = Duration::from_secs(20);

@@ -1,0 +1,77 @@
+//! A process on a real terminal of 80 columns and 24 lines.
+
+use std::fs::File;
+use std::io::Read;
+use std::process::{Child, Command, Stdio};
+use std::sync::{Arc, Mutex};
+use std::thread::{self, JoinHandle};
+
+use nix::pty::{Winsize, openpty};
+use nix::sys::signal::{Signal, kill};
+use nix::unistd::Pid;
+
+use super::eventually;
+
+/// What looks at the terminal; the process ends with it.
+#[derive(Debug)]
+pub(crate) struct Terminal {
+    child: Child,
+    written: Arc<Mutex<Vec<u8>>>,
+    reader: Option<JoinHandle<()>>,
+}
+
+impl Terminal {
+    /// Starts a command whose stdin, stdout and stderr are a terminal.
+    pub(crate) fn start(command: &mut Command) -> Self {
+        let size = Winsize { ws_row: 24, ws_col: 80, ws_xpixel: 0, ws_ypixel: 0 };
+        let pair = openpty(&size, None).unwrap();
+        let slave = || Stdio::from(pair.slave.try_clone().unwrap());
+        command.env("TERM", "xterm").env_remove("CLICOLOR").env_remove("CLICOLOR_FORCE");
+        let child = command.stdin(slave()).stdout(slave()).stderr(slave()).spawn().unwrap();
+        // The command holds them open, and with them the terminal.
+        command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
+        let written: Arc<Mutex<Vec<u8>>> = Arc::default();
+        let (shared, mut master) = (Arc::clone(&written), File::from(pair.master));
+        let reader = thread::spawn(move || {
+            let mut octets = [0; 4096];
+            // It ends with an error as soon as nobody can write to it any more.
+            while let Ok(length @ 1..) = master.read(&mut octets) {
+                shared.lock().unwrap().extend(&octets[..length]);
+            }
+        });
+        Self { child, written, reader: Some(reader) }
+    }
+
+    pub(crate) fn signal(&self, signal: Signal) {
+        kill(Pid::from_raw(self.child.id() as i32), signal).unwrap();
+    }
+
+    /// Waits until the process has ended and tells its exit code; none when a signal killed it.
+    pub(crate) fn end(&mut self) -> Option<i32> {
+        let status = eventually("the process ends", || self.child.try_wait().unwrap());
+        if let Some(reader) = self.reader.take() {
+            reader.join().unwrap();
+        }
+        status.code()
+    }
+
+    /// All that was written so far.
+    pub(crate) fn text(&self) -> String {
+        String::from_utf8_lossy(&self.written.lock().unwrap()).into_owned()
+    }
+
+    /// Whether a text has colours, bold and the like: `ESC [ numbers m`.
+    pub(crate) fn has_colours(text: &str) -> bool {
+        text.split("\x1b[").skip(1).any(|sequence| {
+            sequence.trim_start_matches(|c: char| c.is_ascii_digit() || c == ';').starts_with('m')
+        })
+    }
+}
+
+impl Drop for Terminal {
+    fn drop(&mut self) {
+        // It may have ended already.
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
