@@ -34,7 +34,7 @@ const MOST_FLOWS: usize = 100_000;
 
 /// What the kernel drops before the relay sees it, as the status page names it, in plain words:
 /// by the causes of [`KernelDrops`](crate::net::KernelDrops).
-const KERNEL_DROPS: [(&str, &str); 3] = [
+const KERNEL_DROPS: [(&str, &str); 4] = [
     (
         "kernel: overflow",
         "Never seen by the relay: the receive buffer of a public port was full. Raise \
@@ -49,6 +49,11 @@ const KERNEL_DROPS: [(&str, &str); 3] = [
         "kernel: upstream overflow",
         "Answers of servers that the relay never saw: the receive buffer of a socket towards the \
          plant was full. Raise `receive_buffer` and sysctl net.core.rmem_max, add workers.",
+    ),
+    (
+        "kernel: upstream prefilter",
+        "Refused by the kernel on a socket towards the plant, while it was flooded by senders that \
+         are no server of the table. Who sends there? A firewall can keep them out.",
     ),
 ];
 
