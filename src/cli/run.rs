@@ -8,7 +8,8 @@ use std::sync::Arc;
 
 use anyhow::Context;
 use tokio::net::TcpListener;
-use tokio::signal::unix::{SignalKind, signal};
+use tokio::runtime::Runtime;
+use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio::sync::Notify;
 
 use super::signals::Signals;
@@ -38,6 +39,12 @@ pub(super) struct Args {
 
 /// Runs the command.
 pub(super) fn run(args: &Args) -> anyhow::Result<ExitCode> {
+    // Starts no thread yet. Until there is somebody to answer it, SIGHUP would end the process.
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+    let hangup = {
+        let _context = runtime.enter();
+        signal(SignalKind::hangup())?
+    };
     let prepared = (!args.no_sandbox).then(sandbox::prepare);
     let (config, warnings) = match load(&args.config) {
         Ok(sound) => sound,
@@ -60,7 +67,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<ExitCode> {
     let _log = log::in_background();
     let router = Arc::new(router.start()?);
     let reloader = Arc::new(Reloader::new(args.config.clone(), Arc::clone(&router)));
-    relay(router, admin, reloader, sandbox)
+    relay(runtime, hangup, router, admin, reloader, sandbox)
 }
 
 /// Binds everything, or nothing.
@@ -78,15 +85,15 @@ fn bind_admin(address: SocketAddr) -> anyhow::Result<StdListener> {
 }
 
 fn relay(
+    runtime: Runtime,
+    mut hangup: Signal,
     router: Arc<Router>,
     admin: Option<StdListener>,
     reloader: Arc<Reloader>,
     sandbox: Sandbox,
 ) -> anyhow::Result<ExitCode> {
-    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     let outcome = runtime.block_on(async {
         let mut signals = Signals::new()?;
-        let mut hangup = signal(SignalKind::hangup())?;
         let mut noise = Noise::new(Arc::clone(&router));
         let stopped = Arc::new(Notify::new());
         let serving = match admin {
@@ -104,7 +111,7 @@ fn relay(
         announce(&router);
         service::ready(&router);
         let reloading = async {
-            // However many come during a reload, there is one more after it.
+            // However many come during the start or a reload, there is one more after it.
             while hangup.recv().await.is_some() {
                 // Both outcomes are in the log.
                 let _ = reloader.reload().await;

@@ -2,19 +2,22 @@
 //! what did is in force at once, and what cannot be leaves everything as it was.
 
 use std::collections::BTreeSet;
-use std::fs;
+use std::fs::{self, File};
+use std::io::Write;
 use std::net::UdpSocket;
 use std::os::unix::net::UnixDatagram;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::Relaxed};
 use std::thread;
 
 use nix::sys::signal::Signal;
+use nix::sys::stat::Mode;
+use nix::unistd::mkfifo;
 use serde_json::{Value, json};
 use tempfile::TempDir;
 
 use crate::harness::{
-    DEVICE, FIGURE_10, Over, PASSWORD, PATIENCE, Peer, Relay, SECOND, Settings, Site, close,
-    datagram, eventually, exchange, pnet_nat, request, response,
+    DEVICE, FIGURE_10, Over, PASSWORD, PATIENCE, Peer, Process, Relay, SECOND, Settings, Site,
+    close, datagram, eventually, exchange, folder, pnet_nat, request, response,
 };
 
 const SUCCESSFUL: &str = "pnet_nat_config_last_reload_successful";
@@ -437,6 +440,31 @@ fn a_flood_of_hangups_is_a_few_reloads() {
     let reloads = relay.process.logged("reload").len();
     assert!(reloads < 250, "{reloads} reloads");
     relay.finish();
+}
+
+/// A service manager may signal whenever it likes: here, while the configuration is being read for
+/// the first time, out of a pipe.
+#[test]
+fn a_hangup_during_the_start_is_a_reload_after_it() {
+    let site = Site::claim();
+    let first = site.configuration(&Settings::default());
+    let folder = folder(&first);
+    let file = folder.path().join("pnet-nat.toml");
+    fs::remove_file(&file).unwrap();
+    mkfifo(&file, Mode::S_IRUSR | Mode::S_IWUSR).unwrap();
+    let mut process = Process::start(pnet_nat(&["run", "--config", file.to_str().unwrap()]));
+    let mut pipe = File::options().write(true).open(&file).unwrap();
+    process.signal(Signal::SIGHUP);
+    let second = site.configuration(&Settings { net: "max_flows = 5", ..Settings::default() });
+    fs::remove_file(&file).unwrap();
+    fs::write(&file, second).unwrap();
+    pipe.write_all(first.as_bytes()).unwrap();
+    drop(pipe);
+    let line = eventually("it reloads", || process.logged("reload").pop());
+    assert_eq!(line["nets_changed"], "section-1", "{line}");
+    process.signal(Signal::SIGTERM);
+    assert_eq!(process.end(), Some(0));
+    assert_eq!(process.logged("reload").len(), 1);
 }
 
 /// systemd, played by a socket.
