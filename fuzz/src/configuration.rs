@@ -82,5 +82,5 @@ fn is_sound(config: &Config) {
         let names: HashSet<_> = net.credentials.iter().map(|credential| &credential.name).collect();
         assert_eq!(names.len(), net.credentials.len(), "a password's name is unique in its net");
     }
-    assert!(config.limits.max_flows > 0 && config.limits.wrong_password_burst > 0);
+    assert!(config.limits.basic.max_flows > 0 && config.limits.basic.wrong_password_burst > 0);
 }

@@ -316,7 +316,7 @@ impl World {
             assert_eq!(self.counters.net(net).flows.get(), open as u64, "{net:?}");
         }
         let limits = table.nets().iter().map(|net| net.max_flows);
-        let limits = limits.chain([self.rules.limits.max_flows]);
+        let limits = limits.chain([self.rules.limits.basic.max_flows]);
         for ((&open, limit), &before) in open.iter().zip(limits).zip(&self.flows_before_reload) {
             assert!(open <= before.max(limit as usize), "N-8: {open} flows, limit {limit}");
         }

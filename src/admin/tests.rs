@@ -284,6 +284,7 @@ fn flows_and_configuration_have_their_shape() {
     assert_eq!(config["header"], "02000000");
     assert_eq!(config["nets"][0]["nodes"][1]["public_port"], 40033);
     assert_eq!(config["nets"][1]["allow_without_password"], true);
+    assert_eq!(config["wrong_password_address_burst"], 5120);
     assert_eq!(config["wrong_password_interval_seconds"], 60.0);
     assert_eq!(config["workers"], Value::Null);
     assert_eq!(config["admin_listen"], "127.0.0.1:9378");

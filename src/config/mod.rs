@@ -25,7 +25,7 @@ use std::time::Duration;
 
 use toml::de::DeTable;
 
-use crate::relay::{Limits, Mapping, NetId, Table};
+use crate::relay::{Bounds, Limits, Mapping, NetId, Table};
 use crate::wire::Header;
 
 use fault::{Place, Report, line_of};
@@ -133,9 +133,10 @@ fn protocol(mut section: Section<'_>) -> Header {
     header.unwrap_or_default()
 }
 
-fn limits(mut section: Section<'_>, runtime: &mut Runtime) -> Limits {
+fn limits(mut section: Section<'_>, runtime: &mut Runtime) -> Bounds {
     let max_flows = section.key("max_flows", "65536");
     let burst = section.key("wrong_password_burst", "10");
+    let address_burst = section.key("wrong_password_address_burst", "5120");
     let interval = section.key("wrong_password_interval", "\"6s\"");
     let audit_lines = section.key("audit_lines", "500");
     let prefilter = section.key("prefilter", "\"auto\"");
@@ -146,11 +147,17 @@ fn limits(mut section: Section<'_>, runtime: &mut Runtime) -> Limits {
     runtime.prefilter = prefilter.parse().unwrap_or(runtime.prefilter);
     let busy_poll = busy_poll.duration(Duration::ZERO..=MOST_BUSY_POLL);
     runtime.busy_poll = busy_poll.unwrap_or(runtime.busy_poll);
-    Limits {
+    let mut bounds = Bounds::from(Limits {
         max_flows: max_flows.integer(1..=net::MOST_FLOWS).unwrap_or(65_536),
         wrong_password_burst: burst.integer(1..=u16::MAX).unwrap_or(10),
         wrong_password_interval: interval.unwrap_or(Duration::from_secs(6)),
-    }
+    });
+    // With fewer for the address, none of its senders would ever come to their own bound.
+    let least = u32::from(bounds.basic.wrong_password_burst);
+    let address_burst = address_burst.integer(least..=u32::MAX);
+    bounds.wrong_password_address_burst =
+        address_burst.unwrap_or(bounds.wrong_password_address_burst);
+    bounds
 }
 
 fn read_runtime(mut section: Section<'_>, runtime: &mut Runtime) {

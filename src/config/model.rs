@@ -8,7 +8,7 @@ use std::str::FromStr;
 use std::sync::Arc;
 use std::time::Duration;
 
-use crate::relay::{Limits, Table};
+use crate::relay::{Bounds, Table};
 
 use super::token::Token;
 
@@ -20,7 +20,7 @@ pub struct Config {
     /// The NAT table.
     pub table: Arc<Table>,
     /// Bounds of the router as a whole.
-    pub limits: Limits,
+    pub limits: Bounds,
     /// How the process runs.
     pub runtime: Runtime,
     /// The admin server; none when it is switched off.

@@ -38,7 +38,8 @@ pub(crate) fn config() -> Config {
             max_flows: 10_000,
             wrong_password_burst: 10,
             wrong_password_interval: Duration::from_secs(60),
-        },
+        }
+        .into(),
         runtime: Runtime::default(),
         admin: Some(Admin {
             listen: SocketAddr::from(([127, 0, 0, 1], 9378)),

@@ -34,7 +34,7 @@ pub use flow::FlowRecord;
 pub use ids::{ListenerId, UpstreamId};
 pub use rate::RequestRate;
 pub use reason::{CloseReason, Direction, DropReason};
-pub use rules::Rules;
+pub use rules::{Bounds, Rules};
 pub use shell::Shell;
 pub use sketch::SourceSketch;
 pub use table::{Credential, Limits, Mapping, MappingId, Net, NetId, NetKind, Table};

@@ -463,7 +463,7 @@ impl World {
                 assert!(!known, "N-8: an open flow is served whatever is full, not {reason:?}");
                 let open = self.open_flows();
                 let full = open[usize::from(mapping.net.0)] >= u64::from(net.max_flows)
-                    || open[open.len() - 1] >= u64::from(self.rules.limits.max_flows);
+                    || open[open.len() - 1] >= u64::from(self.rules.limits.basic.max_flows);
                 assert!(full || reason != DropReason::FlowLimit, "{open:?}");
                 let shell = &self.workers[worker].shell;
                 let sockets_left = shell.ports.len() < shell.limit;
@@ -628,7 +628,7 @@ impl World {
             }
         }
         let limits =
-            table.nets().iter().map(|net| net.max_flows).chain([self.rules.limits.max_flows]);
+            table.nets().iter().map(|net| net.max_flows).chain([self.rules.limits.basic.max_flows]);
         let open = self.open_flows();
         for ((open, limit), before) in open.iter().zip(limits).zip(&self.flows_before_reload) {
             assert!(*open <= u64::from(limit).max(*before), "N-8: {open} flows, limit {limit}");

@@ -106,7 +106,8 @@ impl Plant {
                 max_flows: 64,
                 wrong_password_burst: 10,
                 wrong_password_interval: Duration::from_millis(200),
-            },
+            }
+            .into(),
             runtime: Runtime::default(),
             admin: Some(Admin {
                 listen: admin,

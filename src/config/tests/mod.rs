@@ -101,7 +101,8 @@ fn the_sound_configuration_is_sound_and_complete() {
         wrong_password_burst: 10,
         wrong_password_interval: Duration::from_secs(6),
     };
-    assert_eq!(config.limits, limits);
+    let bounds = Bounds { basic: limits, wrong_password_address_burst: 5120 };
+    assert_eq!(config.limits, bounds);
 
     let [section, press] = config.table.nets() else { panic!("two nets") };
     assert_eq!((section.name.as_str(), press.name.as_str()), ("section-1", "press"));
@@ -143,6 +144,7 @@ header = "0a000001"
 [limits]
 max_flows = 100
 wrong_password_burst = 3
+wrong_password_address_burst = 50
 wrong_password_interval = "1m"
 audit_lines = 7
 [runtime]
@@ -155,8 +157,10 @@ listen = "[::1]:0"
 "#;
     let (config, _) = read(&text).unwrap();
     assert_eq!(config.table.header, Header([0x0a, 0, 0, 1]));
-    assert_eq!((config.limits.max_flows, config.limits.wrong_password_burst), (100, 3));
-    assert_eq!(config.limits.wrong_password_interval, Duration::from_secs(60));
+    assert_eq!(config.limits.wrong_password_address_burst, 50);
+    let limits = config.limits.basic;
+    assert_eq!((limits.max_flows, limits.wrong_password_burst), (100, 3));
+    assert_eq!(limits.wrong_password_interval, Duration::from_secs(60));
     assert_eq!(config.runtime.audit_lines, 7);
     assert_eq!(config.runtime.workers, NonZeroUsize::new(3));
     assert_eq!((config.runtime.receive_buffer, config.runtime.drain), (65_536, Duration::ZERO));
