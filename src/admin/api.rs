@@ -449,6 +449,8 @@ struct ConfigInForce<'a> {
     audit_lines: u32,
     prefilter: &'static str,
     busy_poll_seconds: f64,
+    /// Null: whoever started it.
+    user: Option<&'a str>,
     /// Null: one for each two cores.
     workers: Option<usize>,
     receive_buffer_bytes: usize,
@@ -487,6 +489,7 @@ impl<'a> ConfigInForce<'a> {
             audit_lines: runtime.audit_lines,
             prefilter: runtime.prefilter.label(),
             busy_poll_seconds: runtime.busy_poll.as_secs_f64(),
+            user: runtime.user.as_deref(),
             workers: runtime.workers.map(usize::from),
             receive_buffer_bytes: runtime.receive_buffer,
             drain_seconds: runtime.drain.as_secs_f64(),

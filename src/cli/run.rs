@@ -15,11 +15,11 @@ use tokio::sync::Notify;
 use super::signals::Signals;
 use super::{BAD_USE, complain, load};
 use crate::admin;
-use crate::config::Config;
+use crate::config::{self, Config};
 use crate::log::{self, Noise};
 use crate::net::{Bound, Router};
 use crate::reload::Reloader;
-use crate::sandbox::{self, Sandbox};
+use crate::sandbox::{self, Sandbox, User};
 use crate::service;
 
 /// Relay between clients on the Internet and the server nodes of a plant.
@@ -46,9 +46,23 @@ pub(super) fn run(args: &Args) -> anyhow::Result<ExitCode> {
         signal(SignalKind::hangup())?
     };
     let prepared = (!args.no_sandbox).then(sandbox::prepare);
-    let (config, warnings) = match load(&args.config) {
-        Ok(sound) => sound,
-        Err(code) => return Ok(code),
+    let refuse = |error: anyhow::Error| {
+        complain(format_args!("pnet-nat: {error:#}"));
+        Ok(ExitCode::from(BAD_USE))
+    };
+    let name = prepared.as_ref().and_then(|_| config::user(&args.config));
+    let user = match name.as_deref().map(User::find).transpose() {
+        Ok(user) => user.zip(name.as_deref()),
+        Err(error) => return refuse(error.into()),
+    };
+    let loaded = match user {
+        Some((user, name)) => user.act(name, || load(&args.config)),
+        None => Ok(load(&args.config)),
+    };
+    let (config, warnings) = match loaded {
+        Ok(Ok(sound)) => sound,
+        Ok(Err(code)) => return Ok(code),
+        Err(error) => return refuse(error.into()),
     };
     for warning in warnings {
         tracing::warn!("{warning}");
@@ -56,11 +70,11 @@ pub(super) fn run(args: &Args) -> anyhow::Result<ExitCode> {
     let files = config.files.clone();
     let (router, admin) = match bind(config) {
         Ok(bound) => bound,
-        Err(error) => {
-            complain(format_args!("pnet-nat: {error:#}"));
-            return Ok(ExitCode::from(BAD_USE));
-        }
+        Err(error) => return refuse(error),
     };
+    if let Some((user, name)) = user {
+        user.become_for_good(name)?;
+    }
     // Every thread inherits the confinement, for up to here there is only this one.
     let sandbox = prepared.map_or_else(Sandbox::off, |prepared| prepared.confine(&files));
     sandbox.announce();

@@ -59,6 +59,17 @@ pub fn load(path: &Path) -> Result<(Config, Vec<Warning>), Faults> {
     parse(&text, path)
 }
 
+/// `[runtime] user` of a configuration file, as far as it can be read: whose rights the rest is to be
+/// read with. What is wrong with it, [`load`] tells.
+pub fn user(path: &Path) -> Option<String> {
+    let text = fs::read_to_string(path).ok()?;
+    let (document, _) = DeTable::parse_recoverable(&text);
+    let runtime = document.get_ref().get("runtime")?.get_ref().as_table()?;
+    let user = runtime.get("user")?.get_ref();
+    let number = || Some(user.as_integer()?.as_str().to_owned());
+    user.as_str().map(str::to_owned).or_else(number)
+}
+
 /// Reads a configuration from text, as if it stood in the file `path`.
 pub fn parse(text: &str, path: &Path) -> Result<(Config, Vec<Warning>), Faults> {
     let report = Report::new(path, text);
@@ -161,10 +172,15 @@ fn limits(mut section: Section<'_>, runtime: &mut Runtime) -> Bounds {
 }
 
 fn read_runtime(mut section: Section<'_>, runtime: &mut Runtime) {
+    let user = section.key("user", "\"pnet-nat\"");
     let workers = section.key("workers", "2");
     let receive_buffer = section.key("receive_buffer", "1048576");
     let drain = section.key("drain", "\"5s\"");
     section.finish();
+    runtime.user = match user.is_integer() {
+        true => user.integer(1..=u32::MAX - 1).map(|number| number.to_string()),
+        false => user.text().map(str::to_owned),
+    };
     runtime.workers = workers.integer(1..=256).and_then(NonZeroUsize::new);
     let receive_buffer = receive_buffer.integer(4096..=1 << 30);
     runtime.receive_buffer = receive_buffer.unwrap_or(runtime.receive_buffer);

@@ -148,6 +148,7 @@ wrong_password_address_burst = 50
 wrong_password_interval = "1m"
 audit_lines = 7
 [runtime]
+user = 990
 workers = 3
 receive_buffer = 65536
 drain = "0s"
@@ -162,6 +163,7 @@ listen = "[::1]:0"
     assert_eq!((limits.max_flows, limits.wrong_password_burst), (100, 3));
     assert_eq!(limits.wrong_password_interval, Duration::from_secs(60));
     assert_eq!(config.runtime.audit_lines, 7);
+    assert_eq!(config.runtime.user.as_deref(), Some("990"));
     assert_eq!(config.runtime.workers, NonZeroUsize::new(3));
     assert_eq!((config.runtime.receive_buffer, config.runtime.drain), (65_536, Duration::ZERO));
     assert!(config.admin.is_none());
