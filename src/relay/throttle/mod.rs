@@ -141,7 +141,7 @@ impl Throttle {
 
     /// Whether nobody is throttled, so that nothing will expire.
     pub(super) fn is_quiet(&self) -> bool {
-        self.addresses.throttled_now == 0 && self.senders.throttled_now == 0 && !self.clamp_is_due
+        self.addresses.throttled_now == 0 && self.senders.throttled_now == 0
     }
 
     fn clamp_if_due(&mut self, now: Nanos) {
