@@ -300,14 +300,17 @@ fn low_ports_are_bound_before_the_capability_goes() {
     relay.finish();
 }
 
-/// As a service manager or a container starts it: a user of its own, no capability.
+/// As a service manager or a container starts it: a user of its own, no capability. That this is who it
+/// is to become is no hindrance; it cannot become anybody else.
 #[test]
 fn a_user_without_any_privilege_is_confined_as_well() {
     if !geteuid().is_root() || Command::new("setpriv").arg("--version").output().is_err() {
         return left_out("root and setpriv, to become somebody else");
     }
     let site = Site::claim();
-    let folder = folder(&site.configuration(&Settings::default()));
+    let settings = Settings { runtime: "user = 65534", ..Settings::default() };
+    let configuration = site.configuration(&settings);
+    let folder = folder(&configuration);
     let own = |path: &std::path::Path| {
         chown(path, Some(65534), Some(65534)).unwrap();
     };
@@ -318,10 +321,13 @@ fn a_user_without_any_privilege_is_confined_as_well() {
     let program = folder.path().join("pnet-nat");
     fs::copy(env!("CARGO_BIN_EXE_pnet-nat"), &program).unwrap();
     fs::set_permissions(&program, fs::Permissions::from_mode(0o755)).unwrap();
-    let mut command = Command::new("setpriv");
-    command.args(["--reuid=65534", "--regid=65534", "--clear-groups"]).arg(&program);
-    command.args(["run", "--config"]).arg(folder.path().join("pnet-nat.toml"));
-    let process = Process::start(command);
+    let start = || {
+        let mut command = Command::new("setpriv");
+        command.args(["--reuid=65534", "--regid=65534", "--clear-groups"]).arg(&program);
+        command.args(["run", "--config"]).arg(folder.path().join("pnet-nat.toml"));
+        Process::start(command)
+    };
+    let process = start();
     let own_memory = format!("/proc/{}/mem", process.id());
     let line = eventually("it is confined", || {
         process.logged("confined").pop().or_else(|| process.logged("confined in part").pop())
@@ -334,4 +340,10 @@ fn a_user_without_any_privilege_is_confined_as_well() {
     }
     let (client, node) = (site.client(), site.node(4));
     exchange(&client, site.public(4), &node, 4);
+
+    let other = configuration.replace("user = 65534", "user = 65533");
+    fs::write(folder.path().join("pnet-nat.toml"), other).unwrap();
+    let mut refused = start();
+    assert_eq!(refused.end(), Some(2));
+    assert!(refused.stderr().contains("only root becomes \"65533\""), "{}", refused.stderr());
 }
