@@ -2,7 +2,7 @@
 
 use std::future;
 use std::net::{SocketAddr, TcpListener as StdListener};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Arc;
 
@@ -13,9 +13,9 @@ use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio::sync::Notify;
 
 use super::signals::Signals;
-use super::{BAD_USE, complain, load};
+use super::{BAD_USE, complain, load, told};
 use crate::admin;
-use crate::config::{self, Config};
+use crate::config::{self, Config, Warning};
 use crate::log::{self, Noise};
 use crate::net::{Bound, Router};
 use crate::reload::Reloader;
@@ -46,23 +46,9 @@ pub(super) fn run(args: &Args) -> anyhow::Result<ExitCode> {
         signal(SignalKind::hangup())?
     };
     let prepared = (!args.no_sandbox).then(sandbox::prepare);
-    let refuse = |error: anyhow::Error| {
-        complain(format_args!("pnet-nat: {error:#}"));
-        Ok(ExitCode::from(BAD_USE))
-    };
-    let name = prepared.as_ref().and_then(|_| config::user(&args.config));
-    let user = match name.as_deref().map(User::find).transpose() {
-        Ok(user) => user.zip(name.as_deref()),
-        Err(error) => return refuse(error.into()),
-    };
-    let loaded = match user {
-        Some((user, name)) => user.act(name, || load(&args.config)),
-        None => Ok(load(&args.config)),
-    };
-    let (config, warnings) = match loaded {
-        Ok(Ok(sound)) => sound,
-        Ok(Err(code)) => return Ok(code),
-        Err(error) => return refuse(error.into()),
+    let (config, warnings, user) = match read(&args.config, prepared.is_some()) {
+        Ok(sound) => sound,
+        Err(code) => return Ok(code),
     };
     for warning in warnings {
         tracing::warn!("{warning}");
@@ -70,10 +56,10 @@ pub(super) fn run(args: &Args) -> anyhow::Result<ExitCode> {
     let files = config.files.clone();
     let (router, admin) = match bind(config) {
         Ok(bound) => bound,
-        Err(error) => return refuse(error),
+        Err(error) => return Ok(refuse(error)),
     };
-    if let Some((user, name)) = user {
-        user.become_for_good(name)?;
+    if let Some(user) = user {
+        user.become_for_good()?;
     }
     // Every thread inherits the confinement, for up to here there is only this one.
     let sandbox = prepared.map_or_else(Sandbox::off, |prepared| prepared.confine(&files));
@@ -82,6 +68,28 @@ pub(super) fn run(args: &Args) -> anyhow::Result<ExitCode> {
     let router = Arc::new(router.start()?);
     let reloader = Arc::new(Reloader::new(args.config.clone(), Arc::clone(&router)));
     relay(runtime, hangup, router, admin, reloader, sandbox)
+}
+
+/// The configuration and its warnings, and whom to become, if that is wanted: then it is read with that
+/// user's rights.
+fn read(path: &Path, becomes_user: bool) -> Result<(Config, Vec<Warning>, Option<User>), ExitCode> {
+    let text = told(config::read_text(path))?;
+    let Some(name) = config::user(&text).filter(|_| becomes_user) else {
+        let (config, warnings) = told(config::parse(&text, path))?;
+        return Ok((config, warnings, None));
+    };
+    let user = User::find(&name).map_err(refuse)?;
+    // As each reload will read it; but a pipe can be read only once.
+    let again = path.is_file();
+    let read = || if again { load(path) } else { told(config::parse(&text, path)) };
+    let (config, warnings) = user.act(read).map_err(refuse)??;
+    Ok((config, warnings, Some(user)))
+}
+
+/// Says why nothing is started.
+fn refuse(error: impl Into<anyhow::Error>) -> ExitCode {
+    complain(format_args!("pnet-nat: {:#}", error.into()));
+    ExitCode::from(BAD_USE)
 }
 
 /// Binds everything, or nothing.

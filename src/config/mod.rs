@@ -44,6 +44,11 @@ const MOST_BUSY_POLL: Duration = Duration::from_millis(1);
 
 /// Reads a configuration file and the password files that it names.
 pub fn load(path: &Path) -> Result<(Config, Vec<Warning>), Faults> {
+    parse(&read_text(path)?, path)
+}
+
+/// The text of a configuration file.
+pub fn read_text(path: &Path) -> Result<String, Faults> {
     let unreadable = |line, problem, remedy: &str| {
         let (file, key, remedy) = (path.to_owned(), String::new(), remedy.to_owned());
         Faults(vec![Fault { file, line, key, problem, remedy }])
@@ -52,18 +57,16 @@ pub fn load(path: &Path) -> Result<(Config, Vec<Warning>), Faults> {
         let remedy = "name a configuration file that pnet-nat may read with --config";
         unreadable(None, format!("cannot be read: {err}"), remedy)
     })?;
-    let text = String::from_utf8(octets).map_err(|err| {
+    String::from_utf8(octets).map_err(|err| {
         let line = line_of(err.as_bytes(), err.utf8_error().valid_up_to());
         unreadable(Some(line), "not UTF-8 text".into(), "save the file as UTF-8")
-    })?;
-    parse(&text, path)
+    })
 }
 
-/// `[runtime] user` of a configuration file, as far as it can be read: whose rights the rest is to be
-/// read with. What is wrong with it, [`load`] tells.
-pub fn user(path: &Path) -> Option<String> {
-    let text = fs::read_to_string(path).ok()?;
-    let (document, _) = DeTable::parse_recoverable(&text);
+/// `[runtime] user` of a configuration's text, as far as it can be read: whose rights the rest is to be
+/// read with. What is wrong with it, [`parse`] tells.
+pub fn user(text: &str) -> Option<String> {
+    let (document, _) = DeTable::parse_recoverable(text);
     let runtime = document.get_ref().get("runtime")?.get_ref().as_table()?;
     let user = runtime.get("user")?.get_ref();
     let number = || Some(user.as_integer()?.as_str().to_owned());

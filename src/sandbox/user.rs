@@ -12,8 +12,10 @@ const USERS: &str = "/etc/passwd";
 const ROOT: Uid = Uid::from_raw(0);
 
 /// A user of this host, with its own group and no other.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub struct User {
+    /// As configured: a name or a number.
+    name: String,
     uid: Uid,
     gid: Gid,
 }
@@ -52,6 +54,10 @@ impl User {
         if found.uid.is_root() { Err(UserError::Root) } else { Ok(found) }
     }
 
+    fn new(name: &str, uid: u32, gid: u32) -> Self {
+        Self { name: name.to_owned(), uid: Uid::from_raw(uid), gid: Gid::from_raw(gid) }
+    }
+
     /// `users` is written as passwd(5) says: `name:password:uid:gid:…`.
     fn find_among(users: &str, user: &str) -> Option<Self> {
         let number = user.parse::<u32>().ok();
@@ -60,20 +66,20 @@ impl User {
             let (name, uid) = (fields.next()?, fields.nth(1)?.parse().ok()?);
             let gid = fields.next()?.parse().ok()?;
             let is_it = number.map_or(name == user, |number| number == uid);
-            is_it.then_some(Self { uid: Uid::from_raw(uid), gid: Gid::from_raw(gid) })
+            is_it.then(|| Self::new(user, uid, gid))
         };
-        let itself = number.map(|n| Self { uid: Uid::from_raw(n), gid: Gid::from_raw(n) });
+        let itself = number.map(|number| Self::new(user, number, number));
         users.lines().find_map(entry).or(itself)
     }
 
     /// Does something with the rights of this user alone, and is root again: what it could not read
     /// later is not read now either. Tells when the process is neither root nor this user.
-    pub fn act<T>(self, name: &str, act: impl FnOnce() -> T) -> Result<T, UserError> {
+    pub fn act<T>(&self, act: impl FnOnce() -> T) -> Result<T, UserError> {
         if !geteuid().is_root() {
-            let not_root = UserError::NotRoot(name.to_owned());
+            let not_root = UserError::NotRoot(self.name.clone());
             return if geteuid() == self.uid { Ok(act()) } else { Err(not_root) };
         }
-        let refused = |source| UserError::Refused { user: name.to_owned(), source };
+        let refused = |source| UserError::Refused { user: self.name.clone(), source };
         setgroups(&[]).and_then(|()| setegid(self.gid)).map_err(refused)?;
         seteuid(self.uid).map_err(refused)?;
         let done = act();
@@ -82,14 +88,14 @@ impl User {
     }
 
     /// Becomes this user for good, unless the process is this user already.
-    pub fn become_for_good(self, name: &str) -> Result<(), UserError> {
+    pub fn become_for_good(&self) -> Result<(), UserError> {
         if !geteuid().is_root() {
             return Ok(());
         }
         setgroups(&[])
             .and_then(|()| setresgid(self.gid, self.gid, self.gid))
             .and_then(|()| setresuid(self.uid, self.uid, self.uid))
-            .map_err(|source| UserError::Refused { user: name.to_owned(), source })
+            .map_err(|source| UserError::Refused { user: self.name.clone(), source })
     }
 }
 
