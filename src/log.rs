@@ -2,7 +2,7 @@
 //!
 //! A datagram never makes a line of its own. What strangers send is counted, and [`Noise`] says
 //! once a window how much it was, and how much the audit log left out; a stderr that nobody reads
-//! loses lines and holds up nothing.
+//! loses lines and holds up nothing, and [`lines_lost`] counts them.
 
 use std::collections::HashMap;
 use std::io::{self, IsTerminal};
@@ -67,6 +67,11 @@ pub fn in_background() -> Guard {
     // The first one stays.
     let _ = BACKGROUND.set(writer);
     Guard(guard)
+}
+
+/// Lines that were lost so far, because stderr did not take them fast enough.
+pub fn lines_lost() -> u64 {
+    BACKGROUND.get().map_or(0, |background| background.error_counter().dropped_lines() as u64)
 }
 
 fn writer() -> Box<dyn io::Write> {

@@ -117,6 +117,7 @@ impl Rig {
         let limits = Limits {
             max_flows: u32::MAX,
             wrong_password_burst: 10,
+            wrong_password_address_burst: 5120,
             wrong_password_interval: Duration::from_secs(6),
         };
         let now = Instant::now();

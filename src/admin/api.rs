@@ -30,7 +30,8 @@ use crate::relay::{
 use crate::sandbox::{self, Layer};
 
 const DEFAULT_FLOWS: usize = 1000;
-const MOST_FLOWS: usize = 100_000;
+/// A worker lists its flows between two datagrams, so a list has to be short.
+const MOST_FLOWS: usize = 10_000;
 
 /// What the kernel drops before the relay sees it, as the status page names it, in plain words:
 /// by the causes of [`KernelDrops`](crate::net::KernelDrops).
@@ -477,10 +478,13 @@ struct ConfigInForce<'a> {
     nets: Vec<NetConfig<'a>>,
     max_flows: u32,
     wrong_password_burst: u16,
+    wrong_password_address_burst: u32,
     wrong_password_interval_seconds: f64,
     audit_lines: u32,
     prefilter: &'static str,
     busy_poll_seconds: f64,
+    /// Null: whoever started it.
+    user: Option<&'a str>,
     /// Null: one for each two cores.
     workers: Option<usize>,
     receive_buffer_bytes: usize,
@@ -514,10 +518,12 @@ impl<'a> ConfigInForce<'a> {
             nets: nets.collect(),
             max_flows: limits.max_flows,
             wrong_password_burst: limits.wrong_password_burst,
+            wrong_password_address_burst: limits.wrong_password_address_burst,
             wrong_password_interval_seconds: limits.wrong_password_interval.as_secs_f64(),
             audit_lines: runtime.audit_lines,
             prefilter: runtime.prefilter.label(),
             busy_poll_seconds: runtime.busy_poll.as_secs_f64(),
+            user: runtime.user.as_deref(),
             workers: runtime.workers.map(usize::from),
             receive_buffer_bytes: runtime.receive_buffer,
             drain_seconds: runtime.drain.as_secs_f64(),

@@ -63,7 +63,7 @@ const ROUTES: [(&str, &str); 10] = [
     ("/api/v1/status", "version, readiness, reload and confinement"),
     ("/api/v1/nets", "nets and nodes with their counters; ?nodes=false&net=NAME for less"),
     ("/api/v1/drop-reasons", "why datagrams are dropped, in plain words"),
-    ("/api/v1/flows?limit=1000", "open flows"),
+    ("/api/v1/flows?limit=1000", "open flows, at most 10000"),
     ("/api/v1/config", "the configuration in force, without passwords"),
 ];
 

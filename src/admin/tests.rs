@@ -108,7 +108,7 @@ fn routes_answer_and_others_name_them() {
         assert_ne!(server.get(path).status, 404, "{path}");
         assert_eq!(server.ask("DELETE", path).status, 405, "{path}");
     }
-    for query in ["limit=100001", "limit=-1", "limit=many"] {
+    for query in ["limit=10001", "limit=-1", "limit=many"] {
         assert_eq!(server.get(&format!("/api/v1/flows?{query}")).status, 400, "{query}");
     }
 }
@@ -269,6 +269,33 @@ fn the_page_has_its_files_and_names_no_other_site() {
     }
 }
 
+/// With whatever is answered, refused or not found.
+#[test]
+fn every_answer_says_that_it_is_for_nobody_else() {
+    let server = Server::start(Router::idle(config(), 1));
+    for (path, headers) in [
+        ("/", &[][..]),
+        ("/status.js", &[]),
+        ("/metrics", &[]),
+        ("/api/v1/flows", &[]),
+        ("/-/ready", &[]),
+        ("/none", &[]),
+        ("/api/v1/config", &[("host", "evil.example")]),
+    ] {
+        let answer = server.ask_with("GET", path, headers);
+        for (name, value) in [
+            ("cross-origin-resource-policy", "same-origin"),
+            ("cache-control", "no-store"),
+            ("x-content-type-options", "nosniff"),
+            ("referrer-policy", "no-referrer"),
+        ] {
+            assert_eq!(answer.headers[name], value, "{name} of {path}");
+        }
+        let policy = answer.headers["content-security-policy"].to_str().unwrap();
+        assert!(policy.contains("default-src 'self'") && policy.contains("frame-ancestors 'none'"));
+    }
+}
+
 #[test]
 fn drop_reasons_are_explained() {
     let reasons = Server::start(Router::idle(config(), 1)).get("/api/v1/drop-reasons").json();
@@ -287,6 +314,7 @@ fn flows_and_configuration_have_their_shape() {
     assert_eq!(config["header"], "02000000");
     assert_eq!(config["nets"][0]["nodes"][1]["public_port"], 40033);
     assert_eq!(config["nets"][1]["allow_without_password"], true);
+    assert_eq!(config["wrong_password_address_burst"], 5120);
     assert_eq!(config["wrong_password_interval_seconds"], 60.0);
     assert_eq!(config["workers"], Value::Null);
     assert_eq!(config["admin_listen"], "127.0.0.1:9378");

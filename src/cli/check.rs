@@ -10,9 +10,10 @@ use std::process::ExitCode;
 use clap::builder::BoolishValueParser;
 use comfy_table::{Table, presets};
 
-use super::{complain, load};
+use super::{BAD_USE, complain, load};
 use crate::config::Config;
 use crate::relay::{Mapping, Net, NetKind};
+use crate::sandbox::User;
 
 /// Find every fault of a configuration, or show the NAT table and the clients' IPNetTable rows.
 #[derive(Debug, clap::Args)]
@@ -33,6 +34,10 @@ pub(super) fn run(args: Args) -> anyhow::Result<ExitCode> {
         Ok(sound) => sound,
         Err(code) => return Ok(code),
     };
+    if let Some(Err(error)) = config.runtime.user.as_deref().map(User::find) {
+        complain(format_args!("pnet-nat: {error}"));
+        return Ok(ExitCode::from(BAD_USE));
+    }
     for warning in warnings {
         complain(format_args!("warning: {warning}"));
     }

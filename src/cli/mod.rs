@@ -24,7 +24,7 @@ use clap::{Parser, Subcommand};
 use tracing::Level;
 use ureq::Agent;
 
-use crate::config::{self, Config, Warning};
+use crate::config::{self, Config, Faults, Warning};
 use crate::log::{self, LogFormat};
 use crate::wire::Password;
 
@@ -119,7 +119,12 @@ fn is_broken_pipe(error: &anyhow::Error) -> bool {
 
 /// Reads a configuration, or tells all of its faults and what to exit with.
 fn load(path: &Path) -> Result<(Config, Vec<Warning>), ExitCode> {
-    config::load(path).map_err(|faults| {
+    told(config::load(path))
+}
+
+/// What was read, or what to exit with once all faults are told.
+fn told<T>(read: Result<T, Faults>) -> Result<T, ExitCode> {
+    read.map_err(|faults| {
         complain(faults);
         ExitCode::from(BAD_USE)
     })

@@ -2,23 +2,24 @@
 
 use std::future;
 use std::net::{SocketAddr, TcpListener as StdListener};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Arc;
 
 use anyhow::Context;
 use tokio::net::TcpListener;
-use tokio::signal::unix::{SignalKind, signal};
+use tokio::runtime::Runtime;
+use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio::sync::Notify;
 
 use super::signals::Signals;
-use super::{BAD_USE, complain, load};
+use super::{BAD_USE, complain, load, told};
 use crate::admin;
-use crate::config::Config;
+use crate::config::{self, Config, Warning};
 use crate::log::{self, Noise};
 use crate::net::{Bound, Router};
 use crate::reload::Reloader;
-use crate::sandbox::{self, Sandbox};
+use crate::sandbox::{self, Sandbox, User};
 use crate::service;
 
 /// Relay between clients on the Internet and the server nodes of a plant.
@@ -42,8 +43,14 @@ pub(super) struct Args {
 
 /// Runs the command.
 pub(super) fn run(args: &Args) -> anyhow::Result<ExitCode> {
+    // Starts no thread yet. Until there is somebody to answer it, SIGHUP would end the process.
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+    let hangup = {
+        let _context = runtime.enter();
+        signal(SignalKind::hangup())?
+    };
     let prepared = (!args.no_sandbox).then(sandbox::prepare);
-    let (config, warnings) = match load(&args.config) {
+    let (config, warnings, user) = match read(&args.config, prepared.is_some()) {
         Ok(sound) => sound,
         Err(code) => return Ok(code),
     };
@@ -53,18 +60,40 @@ pub(super) fn run(args: &Args) -> anyhow::Result<ExitCode> {
     let files = config.files.clone();
     let (router, admin) = match bind(config) {
         Ok(bound) => bound,
-        Err(error) => {
-            complain(format_args!("pnet-nat: {error:#}"));
-            return Ok(ExitCode::from(BAD_USE));
-        }
+        Err(error) => return Ok(refuse(error)),
     };
+    if let Some(user) = user {
+        user.become_for_good()?;
+    }
     // Every thread inherits the confinement, for up to here there is only this one.
     let sandbox = prepared.map_or_else(Sandbox::off, |prepared| prepared.confine(&files));
     sandbox.announce();
     let _log = log::in_background();
     let router = Arc::new(router.start()?);
     let reloader = Arc::new(Reloader::new(args.config.clone(), Arc::clone(&router)));
-    relay(router, admin, reloader, sandbox)
+    relay(runtime, hangup, router, admin, reloader, sandbox)
+}
+
+/// The configuration and its warnings, and whom to become, if that is wanted: then it is read with that
+/// user's rights.
+fn read(path: &Path, becomes_user: bool) -> Result<(Config, Vec<Warning>, Option<User>), ExitCode> {
+    let text = told(config::read_text(path))?;
+    let Some(name) = config::user(&text).filter(|_| becomes_user) else {
+        let (config, warnings) = told(config::parse(&text, path))?;
+        return Ok((config, warnings, None));
+    };
+    let user = User::find(&name).map_err(refuse)?;
+    // As each reload will read it; but a pipe can be read only once.
+    let again = path.is_file();
+    let read = || if again { load(path) } else { told(config::parse(&text, path)) };
+    let (config, warnings) = user.act(read).map_err(refuse)??;
+    Ok((config, warnings, Some(user)))
+}
+
+/// Says why nothing is started.
+fn refuse(error: impl Into<anyhow::Error>) -> ExitCode {
+    complain(format_args!("pnet-nat: {:#}", error.into()));
+    ExitCode::from(BAD_USE)
 }
 
 /// Binds everything, or nothing.
@@ -82,15 +111,15 @@ fn bind_admin(address: SocketAddr) -> anyhow::Result<StdListener> {
 }
 
 fn relay(
+    runtime: Runtime,
+    mut hangup: Signal,
     router: Arc<Router>,
     admin: Option<StdListener>,
     reloader: Arc<Reloader>,
     sandbox: Sandbox,
 ) -> anyhow::Result<ExitCode> {
-    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     let outcome = runtime.block_on(async {
         let mut signals = Signals::new()?;
-        let mut hangup = signal(SignalKind::hangup())?;
         let mut noise = Noise::new(Arc::clone(&router));
         let stopped = Arc::new(Notify::new());
         let serving = match admin {
@@ -108,7 +137,7 @@ fn relay(
         announce(&router);
         service::ready(&router);
         let reloading = async {
-            // However many come during a reload, there is one more after it.
+            // However many come during the start or a reload, there is one more after it.
             while hangup.recv().await.is_some() {
                 // Both outcomes are in the log.
                 let _ = reloader.reload().await;

@@ -41,9 +41,16 @@ pub use token::{NotAToken, Token};
 
 /// A worker that looks for datagrams longer than that would rather sleep.
 const MOST_BUSY_POLL: Duration = Duration::from_millis(1);
+/// Unless it is set, an address may send as many wrong passwords as so many of its ports.
+const SENDERS_OF_AN_ADDRESS: u32 = 512;
 
 /// Reads a configuration file and the password files that it names.
 pub fn load(path: &Path) -> Result<(Config, Vec<Warning>), Faults> {
+    parse(&read_text(path)?, path)
+}
+
+/// The text of a configuration file.
+pub fn read_text(path: &Path) -> Result<String, Faults> {
     let unreadable = |line, problem, remedy: &str| {
         let (file, key, remedy) = (path.to_owned(), String::new(), remedy.to_owned());
         Faults(vec![Fault { file, line, key, problem, remedy }])
@@ -52,11 +59,20 @@ pub fn load(path: &Path) -> Result<(Config, Vec<Warning>), Faults> {
         let remedy = "name a configuration file that pnet-nat may read with --config";
         unreadable(None, format!("cannot be read: {err}"), remedy)
     })?;
-    let text = String::from_utf8(octets).map_err(|err| {
+    String::from_utf8(octets).map_err(|err| {
         let line = line_of(err.as_bytes(), err.utf8_error().valid_up_to());
         unreadable(Some(line), "not UTF-8 text".into(), "save the file as UTF-8")
-    })?;
-    parse(&text, path)
+    })
+}
+
+/// `[runtime] user` of a configuration's text, as far as it can be read: whose rights the rest is to be
+/// read with. What is wrong with it, [`parse`] tells.
+pub fn user(text: &str) -> Option<String> {
+    let (document, _) = DeTable::parse_recoverable(text);
+    let runtime = document.get_ref().get("runtime")?.get_ref().as_table()?;
+    let user = runtime.get("user")?.get_ref();
+    let number = || Some(user.as_integer()?.as_str().to_owned());
+    user.as_str().map(str::to_owned).or_else(number)
 }
 
 /// Reads a configuration from text, as if it stood in the file `path`.
@@ -136,6 +152,7 @@ fn protocol(mut section: Section<'_>) -> Header {
 fn limits(mut section: Section<'_>, runtime: &mut Runtime) -> Limits {
     let max_flows = section.key("max_flows", "65536");
     let burst = section.key("wrong_password_burst", "10");
+    let address_burst = section.key("wrong_password_address_burst", "5120");
     let interval = section.key("wrong_password_interval", "\"6s\"");
     let audit_lines = section.key("audit_lines", "500");
     let prefilter = section.key("prefilter", "\"auto\"");
@@ -146,18 +163,29 @@ fn limits(mut section: Section<'_>, runtime: &mut Runtime) -> Limits {
     runtime.prefilter = prefilter.parse().unwrap_or(runtime.prefilter);
     let busy_poll = busy_poll.duration(Duration::ZERO..=MOST_BUSY_POLL);
     runtime.busy_poll = busy_poll.unwrap_or(runtime.busy_poll);
+    let wrong_password_burst = burst.integer(1..=u16::MAX).unwrap_or(10);
+    // With fewer for the address, none of its senders would ever come to their own bound.
+    let least = u32::from(wrong_password_burst);
     Limits {
         max_flows: max_flows.integer(1..=net::MOST_FLOWS).unwrap_or(65_536),
-        wrong_password_burst: burst.integer(1..=u16::MAX).unwrap_or(10),
+        wrong_password_burst,
+        wrong_password_address_burst: address_burst
+            .integer(least..=u32::MAX)
+            .unwrap_or(SENDERS_OF_AN_ADDRESS * least),
         wrong_password_interval: interval.unwrap_or(Duration::from_secs(6)),
     }
 }
 
 fn read_runtime(mut section: Section<'_>, runtime: &mut Runtime) {
+    let user = section.key("user", "\"pnet-nat\"");
     let workers = section.key("workers", "2");
     let receive_buffer = section.key("receive_buffer", "1048576");
     let drain = section.key("drain", "\"5s\"");
     section.finish();
+    runtime.user = match user.is_integer() {
+        true => user.integer(1..=u32::MAX - 1).map(|number| number.to_string()),
+        false => user.text().map(str::to_owned),
+    };
     runtime.workers = workers.integer(1..=256).and_then(NonZeroUsize::new);
     let receive_buffer = receive_buffer.integer(4096..=1 << 30);
     runtime.receive_buffer = receive_buffer.unwrap_or(runtime.receive_buffer);

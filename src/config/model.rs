@@ -33,6 +33,9 @@ pub struct Config {
 /// How the process runs.
 #[derive(Clone, Debug)]
 pub struct Runtime {
+    /// The user that root goes over to once the sockets are bound, by name or number; none: it stays
+    /// who it is.
+    pub user: Option<String>,
     /// Worker threads; none: one for each two cores, whose other half the kernel's own work takes.
     pub workers: Option<NonZeroUsize>,
     /// Octets of receive buffer to ask the kernel for, for each socket.
@@ -90,6 +93,7 @@ impl Prefilter {
 impl Default for Runtime {
     fn default() -> Self {
         Self {
+            user: None,
             workers: None,
             receive_buffer: 1 << 20,
             drain: Duration::from_secs(5),

@@ -138,6 +138,7 @@ pub(super) const NET_FAMILIES: &[NetFamily] = &[
 pub(super) struct RouterFamily {
     pub(super) name: &'static str,
     pub(super) help: &'static str,
+    pub(super) kind: MetricType,
     pub(super) sample: fn(&RouterState) -> Metric,
 }
 
@@ -147,6 +148,8 @@ pub(super) struct RouterState {
     pub(super) started: Instant,
     /// The same as Unix time, in seconds.
     pub(super) started_at: f64,
+    pub(super) audit_lines_left_out: u64,
+    pub(super) log_lines_lost: u64,
 }
 
 impl RouterState {
@@ -155,21 +158,35 @@ impl RouterState {
     }
 }
 
-/// Gauges all.
 pub(super) const ROUTER_FAMILIES: &[RouterFamily] = &[
     RouterFamily {
         name: "pnet_nat_config_last_reload_successful",
         help: "Whether the configuration that was last read came into force: 1 or 0.",
+        kind: MetricType::GAUGE,
         sample: |state| gauge(&[], f64::from(state.last_reload.successful)),
     },
     RouterFamily {
         name: "pnet_nat_config_last_reload_success_timestamp_seconds",
         help: "Unix time when the configuration in force came into force.",
+        kind: MetricType::GAUGE,
         sample: |state| gauge(&[], state.unix_time_of_success()),
+    },
+    RouterFamily {
+        name: "pnet_nat_audit_lines_left_out_total",
+        help: "Lines of the audit log beyond what [limits] audit_lines allows.",
+        kind: MetricType::COUNTER,
+        sample: |state| counter(&[], state.audit_lines_left_out),
+    },
+    RouterFamily {
+        name: "pnet_nat_log_lines_lost_total",
+        help: "Lines of the log that stderr did not take fast enough.",
+        kind: MetricType::COUNTER,
+        sample: |state| counter(&[], state.log_lines_lost),
     },
     RouterFamily {
         name: "pnet_nat_build_info",
         help: "Always 1; the labels tell what runs.",
+        kind: MetricType::GAUGE,
         sample: |_| gauge(&[("version", env!("CARGO_PKG_VERSION")), ("commit", COMMIT)], 1.0),
     },
 ];

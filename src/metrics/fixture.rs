@@ -37,6 +37,7 @@ pub(crate) fn config() -> Config {
         limits: Limits {
             max_flows: 10_000,
             wrong_password_burst: 10,
+            wrong_password_address_burst: 5120,
             wrong_password_interval: Duration::from_secs(60),
         },
         runtime: Runtime::default(),

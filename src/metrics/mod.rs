@@ -25,6 +25,7 @@ use self::families::{
     NET_FAMILIES, NetFamily, NetSums, ROUTER_FAMILIES, RouterFamily, RouterState,
 };
 use self::totals::{NetTotals, NodeTotals};
+use crate::log;
 use crate::net::{InForce, Router};
 use crate::relay::NetId;
 use crate::sandbox::Sandbox;
@@ -62,6 +63,8 @@ impl Metrics {
             last_reload: self.router.last_reload(),
             started: self.router.started(),
             started_at,
+            audit_lines_left_out: self.router.audit().left_out(),
+            log_lines_lost: log::lines_lost(),
         };
         let router = ROUTER_FAMILIES.iter().map(move |family| router_family(family, &state));
         let layers = iter::once(families::sandbox_layers(&self.sandbox));
@@ -135,7 +138,7 @@ fn stray_sums(in_force: &InForce, started_at: f64) -> NetSums<'_> {
 }
 
 fn router_family(family: &RouterFamily, state: &RouterState) -> MetricFamily {
-    metric_family(family.name, family.help, MetricType::GAUGE, vec![(family.sample)(state)])
+    metric_family(family.name, family.help, family.kind, vec![(family.sample)(state)])
 }
 
 /// Unix time of the router's start in microseconds, by the clock as it is set now.

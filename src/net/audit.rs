@@ -14,6 +14,7 @@ use crate::relay::{CloseReason, FlowRecord, MappingId, Table, ThrottleScope, Thr
 #[derive(Debug)]
 pub(crate) struct Audit {
     of_event: [Allowance; Event::ALL.len()],
+    left_out: AtomicU64,
 }
 
 /// Lines of one kind of event in this window.
@@ -39,7 +40,12 @@ impl Audit {
     /// So many lines of each kind in the first window.
     pub(super) fn new(lines: u32) -> Self {
         let allowance = |_| Allowance { left: AtomicU32::new(lines), left_out: AtomicU64::new(0) };
-        Self { of_event: Event::ALL.map(allowance) }
+        Self { of_event: Event::ALL.map(allowance), left_out: AtomicU64::new(0) }
+    }
+
+    /// Lines of all kinds that were left out since the start.
+    pub(crate) fn left_out(&self) -> u64 {
+        self.left_out.load(Relaxed)
     }
 
     /// Ends the window: tells what was left out of it, and allows so many lines in the next one.
@@ -118,6 +124,7 @@ impl Audit {
         let taken = left.fetch_update(Relaxed, Relaxed, |left| left.checked_sub(1)).is_ok();
         if !taken {
             left_out.fetch_add(1, Relaxed);
+            self.left_out.fetch_add(1, Relaxed);
         }
         taken
     }

@@ -223,6 +223,7 @@ mod tests {
             let limits = Limits {
                 max_flows: 1,
                 wrong_password_burst: u16::MAX,
+                wrong_password_address_burst: u32::MAX,
                 wrong_password_interval: Duration::from_nanos(1),
             };
             let rules = Rules::new(Arc::new(table), limits);

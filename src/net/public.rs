@@ -53,8 +53,8 @@ pub(super) struct NetDrops {
 pub struct KernelDrops {
     /// While no prefilter was on: a buffer was full, or memory short.
     pub overflow: u64,
-    /// While the prefilter was on: refused by it, or a buffer was full. The kernel tells one figure
-    /// for both.
+    /// While a filter was on, the prefilter or the one against strays: refused by it, or a buffer was
+    /// full. The kernel tells one figure for both.
     pub prefilter: u64,
 }
 

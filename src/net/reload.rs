@@ -123,6 +123,7 @@ fn refuse_what_needs_a_restart(old: &Config, new: &Config) -> Result<(), ReloadE
     let (was, is) = (old.admin.as_ref(), new.admin.as_ref());
     let admin_moves = was.zip(is).is_some_and(|(was, is)| was.listen != is.listen);
     let changed = [
+        ("[runtime] user", old.runtime.user != new.runtime.user),
         ("[runtime] workers", old.runtime.workers != new.runtime.workers),
         ("[admin] enabled", was.is_some() != is.is_some()),
         ("[admin] listen", admin_moves),

@@ -68,6 +68,7 @@ impl World {
         let limits = Limits {
             max_flows: 1,
             wrong_password_burst: 1,
+            wrong_password_address_burst: 512,
             wrong_password_interval: Duration::from_secs(1),
         };
         let table = Arc::new(Table::new(Header::default(), vec![net], vec![mapping]));

@@ -216,6 +216,7 @@ fn rules(rng: &mut Rng) -> Rules {
     let limits = Limits {
         max_flows: rng.u32(5..15),
         wrong_password_burst: 2,
+        wrong_password_address_burst: 1024,
         wrong_password_interval: Duration::from_secs(60),
     };
     Rules::new(Arc::new(table(rng)), limits)

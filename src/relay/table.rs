@@ -114,10 +114,12 @@ pub struct Mapping {
 pub struct Limits {
     /// Flows that may be open at once, over all nets.
     pub max_flows: u32,
-    /// Wrong passwords that an address and port may send before it is throttled. An address as a
-    /// whole (of IPv6, its /64) may send 512 times as many.
+    /// Wrong passwords that an address and port may send before it is throttled.
     pub wrong_password_burst: u16,
-    /// One wrong password is forgiven in each such interval; of an address as a whole, 512.
+    /// Wrong passwords that an address as a whole (of IPv6, its /64) may send before it is throttled.
+    /// All of them are forgiven in the time in which all of a sender's are.
+    pub wrong_password_address_burst: u32,
+    /// One wrong password of an address and port is forgiven in each such interval.
     pub wrong_password_interval: Duration,
 }
 

@@ -34,25 +34,25 @@ impl OwnFigures {
     }
 }
 
-/// Confines the calling thread, and those it starts, to reading what is or will be in the folders of
-/// the `readable` files.
-pub(super) fn confine(readable: &[PathBuf]) -> (State, OwnFigures) {
+/// Confines the calling thread, and those it starts, to what is [`Readable`].
+pub(super) fn confine(readable: &Readable) -> (State, OwnFigures) {
     let own_figures = OwnFigures::open();
     let state = restrict(readable, &own_figures).unwrap_or_else(State::Missing);
     (state, own_figures)
 }
 
-fn restrict(readable: &[PathBuf], own_figures: &OwnFigures) -> Result<State, String> {
-    let open = |folder| PathFd::new(folder).map_err(|error| error.to_string());
-    let folders: Vec<_> = folders(readable).into_iter().map(open).collect::<Result<_, _>>()?;
-    let folders = folders.iter().map(|folder| PathBeneath::new(folder, AccessFs::ReadFile));
+fn restrict(readable: &Readable, own_figures: &OwnFigures) -> Result<State, String> {
+    let open = |path| PathFd::new(path).map_err(|error| error.to_string());
+    let readable = readable.folders.iter().chain(&readable.files);
+    let readable: Vec<_> = readable.map(open).collect::<Result<_, _>>()?;
+    let readable = readable.iter().map(|path| PathBeneath::new(path, AccessFs::ReadFile));
     let figures = own_figures.0.iter().map(|(figure, access)| PathBeneath::new(figure, *access));
     let status = Ruleset::default()
         .handle_access(AccessFs::from_all(KNOWN))
         .and_then(|rules| rules.handle_access(AccessNet::from_all(KNOWN)))
         .and_then(|rules| rules.scope(Scope::from_all(KNOWN)))
         .and_then(Ruleset::create)
-        .and_then(|rules| rules.add_rules(folders.chain(figures).map(Ok::<_, RulesetError>)))
+        .and_then(|rules| rules.add_rules(readable.chain(figures).map(Ok::<_, RulesetError>)))
         .and_then(|rules| rules.restrict_self())
         .map_err(|error| error.to_string())?;
     Ok(match (status.ruleset, status.landlock) {
@@ -68,19 +68,43 @@ fn restrict(readable: &[PathBuf], own_figures: &OwnFigures) -> Result<State, Str
     })
 }
 
-/// The folders that the files are in, so that files which take their place are readable too: by
-/// name, and where links lead, as far as that is elsewhere.
-fn folders(files: &[PathBuf]) -> BTreeSet<PathBuf> {
-    let real = files.iter().filter_map(|file| fs::canonicalize(file).ok());
-    let mut folders = BTreeSet::new();
-    for file in files.iter().cloned().chain(real) {
-        let folder = file.parent().filter(|folder| *folder != Path::new(""));
-        let folder = folder.unwrap_or(Path::new("."));
-        folders.insert(fs::canonicalize(folder).unwrap_or_else(|_| folder.to_owned()));
+/// What may be read.
+#[derive(Debug, Default, PartialEq, Eq)]
+pub(super) struct Readable {
+    /// With all that is or will be in them.
+    folders: BTreeSet<PathBuf>,
+    /// As they are: what takes the place of one is another file.
+    files: BTreeSet<PathBuf>,
+}
+
+impl Readable {
+    /// The folders that the files are in, so that files which take their place are readable too: by
+    /// name, and where links lead, as far as that is elsewhere. Where the folder is `/` or right below
+    /// it, like `/etc`, it holds the files of everybody, and the file alone is readable.
+    pub(super) fn of(files: &[PathBuf]) -> Self {
+        let mut readable = Self::default();
+        let real = files.iter().filter_map(|file| fs::canonicalize(file).ok());
+        for file in files.iter().cloned().chain(real) {
+            let folder = file.parent().filter(|folder| *folder != Path::new(""));
+            let folder = folder.unwrap_or(Path::new("."));
+            let folder = fs::canonicalize(folder).unwrap_or_else(|_| folder.to_owned());
+            if folder.ancestors().nth(2).is_some() {
+                readable.folders.insert(folder);
+            } else {
+                readable.files.insert(fs::canonicalize(&file).unwrap_or(file));
+            }
+        }
+        let all = readable.folders.clone();
+        let is_within = |path: &Path| path.ancestors().skip(1).any(|above| all.contains(above));
+        readable.folders.retain(|folder| !is_within(folder));
+        readable.files.retain(|file| !is_within(file));
+        readable
     }
-    let all = folders.clone();
-    folders.retain(|folder| !folder.ancestors().skip(1).any(|above| all.contains(above)));
-    folders
+
+    /// The files that cannot be replaced.
+    pub(super) fn files(&self) -> impl Iterator<Item = &Path> {
+        self.files.iter().map(PathBuf::as_path)
+    }
 }
 
 #[cfg(test)]
@@ -105,6 +129,11 @@ mod tests {
         symlink(run.join("secrets/b"), etc.join("secrets/b")).unwrap();
 
         let secrets = [etc.join("secrets/a"), etc.join("secrets/b")];
+        let folders = |files: &[PathBuf]| {
+            let Readable { folders, files } = Readable::of(files);
+            assert_eq!(files, BTreeSet::new());
+            folders
+        };
         let found = folders(&secrets);
         assert_eq!(found, BTreeSet::from([etc.join("secrets"), run.join("secrets")]));
         let found = folders(&[secrets.as_slice(), &[etc.join("relay.toml")]].concat());
@@ -113,5 +142,25 @@ mod tests {
             folders(&["relay.toml".into()]),
             BTreeSet::from([std::env::current_dir().unwrap()])
         );
+    }
+
+    #[test]
+    fn a_folder_of_everybodys_is_not_opened_as_a_whole() {
+        let root = tempfile::tempdir().unwrap();
+        let linked = root.path().canonicalize().unwrap().join("relay.toml");
+        symlink("/etc/hosts", &linked).unwrap();
+        let files: Vec<_> = ["/relay.toml", "/etc/passwd", "/etc/pnet-nat/secrets/a"]
+            .map(PathBuf::from)
+            .into_iter()
+            .chain([linked.clone()])
+            .collect();
+        let expected = Readable {
+            folders: BTreeSet::from([
+                "/etc/pnet-nat/secrets".into(),
+                linked.parent().unwrap().into(),
+            ]),
+            files: ["/relay.toml", "/etc/passwd", "/etc/hosts"].map(PathBuf::from).into(),
+        };
+        assert_eq!(Readable::of(&files), expected);
     }
 }

@@ -9,13 +9,16 @@
 mod files;
 mod privileges;
 mod system_calls;
+mod user;
 
 use std::fmt::Display;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use nix::unistd::{Uid, geteuid};
 use tracing::field::display;
+
+pub use user::{User, UserError};
 
 /// A way in which the process is confined.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -93,6 +96,8 @@ impl State {
 pub struct Sandbox {
     states: [State; Layer::ALL.len()],
     user: Uid,
+    /// Files that are readable as they are now, and not when others take their place.
+    fixed: Arc<[PathBuf]>,
     /// Keeps what Landlock lets the process read of itself: see [`files`].
     _own_figures: Arc<files::OwnFigures>,
 }
@@ -100,7 +105,8 @@ pub struct Sandbox {
 impl Sandbox {
     /// No confinement.
     pub fn off() -> Self {
-        Self { states: [const { State::Off }; _], user: geteuid(), _own_figures: Arc::default() }
+        let states = [const { State::Off }; _];
+        Self { states, user: geteuid(), fixed: Arc::default(), _own_figures: Arc::default() }
     }
 
     /// Every layer with its state.
@@ -132,7 +138,18 @@ impl Sandbox {
         }
         if self.states.iter().all(|state| *state == State::Off) {
             say!(warn, "not confined");
-        } else if self.states.iter().all(|state| *state == State::On) {
+            return;
+        }
+        if !self.fixed.is_empty() {
+            tracing::warn!(
+                files = ?self.fixed,
+                "when one of these is replaced, restart; in a folder of its own, a reload would do"
+            );
+        }
+        if self.user.is_root() {
+            tracing::warn!("runs as root, who owns many files; name another in [runtime] user");
+        }
+        if self.states.iter().all(|state| *state == State::On) {
             say!(info, "confined");
         } else {
             say!(warn, "confined in part");
@@ -149,26 +166,34 @@ pub struct Prepared {
 }
 
 /// Gives up at once what not even the start needs: debuggers, privileges of programs that it might
-/// start, and all capabilities but the one for ports below 1024. So a file that could not be read
+/// start, and all capabilities but those for ports below 1024 and for becoming [`User`]. So a file that could not be read
 /// again later, confined, is not read now either.
 pub fn prepare() -> Prepared {
     let memory = State::of(nix::sys::prctl::set_dumpable(false));
     let no_new_privs = State::of(nix::sys::prctl::set_no_new_privs());
     // `confine` tells how it went.
-    let _ = privileges::keep_only_low_ports();
+    let _ = privileges::keep_for_the_start();
     Prepared { memory, no_new_privs }
 }
 
 impl Prepared {
     /// Gives up the rest. What stays: the sockets that are there, reading whatever is or will be in
-    /// the folders of the `readable` files, new UDP sockets, threads.
+    /// the folders of the `readable` files (of folders like `/etc`, these files alone), new UDP
+    /// sockets, threads.
     pub fn confine(self, readable: &[PathBuf]) -> Sandbox {
         let user = geteuid();
+        // Anew, for the kernel forgets it with a change of user.
+        let memory = match self.memory {
+            State::On => State::of(nix::sys::prctl::set_dumpable(false)),
+            other => other,
+        };
         let capabilities = State::of(privileges::keep_none());
-        let (landlock, own_figures) = files::confine(readable);
+        let readable = files::Readable::of(readable);
+        let (landlock, own_figures) = files::confine(&readable);
+        let fixed = readable.files().map(Path::to_owned).collect();
         // Last, for the others need system calls that are gone then.
         let seccomp = State::of(system_calls::confine());
-        let states = [self.memory, self.no_new_privs, capabilities, landlock, seccomp];
-        Sandbox { states, user, _own_figures: Arc::new(own_figures) }
+        let states = [memory, self.no_new_privs, capabilities, landlock, seccomp];
+        Sandbox { states, user, fixed, _own_figures: Arc::new(own_figures) }
     }
 }

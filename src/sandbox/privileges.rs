@@ -3,9 +3,14 @@
 use caps::errors::CapsError;
 use caps::{CapSet, Capability, CapsHashSet};
 
-/// Keeps the capability for ports below 1024, when it is there, and gives up all others.
-pub(super) fn keep_only_low_ports() -> Result<(), CapsError> {
-    keep(CapsHashSet::from([Capability::CAP_NET_BIND_SERVICE]))
+/// Keeps the capabilities for ports below 1024 and for becoming another user, as far as they are
+/// there, and gives up all others.
+pub(super) fn keep_for_the_start() -> Result<(), CapsError> {
+    keep(CapsHashSet::from([
+        Capability::CAP_NET_BIND_SERVICE,
+        Capability::CAP_SETGID,
+        Capability::CAP_SETUID,
+    ]))
 }
 
 /// Gives up all that is left.

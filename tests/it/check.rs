@@ -76,3 +76,13 @@ fn a_configuration_that_is_not_there_is_exit_code_2() {
     assert!(stderr.starts_with("absent.toml: cannot be read: "), "{stderr}");
     assert_eq!(check(folder.path(), &[]).end(), Some(2));
 }
+
+#[test]
+fn a_user_that_is_not_there_is_exit_code_2() {
+    let folder =
+        folder(&ANNOTATED.replace("#user = \"pnet-nat\"", "user = \"nobody-of-this-name\""));
+    let mut checked = check(folder.path(), &["--config", "pnet-nat.toml"]);
+    assert_eq!(checked.end(), Some(2));
+    let stderr = checked.stderr();
+    assert!(stderr.contains("\"nobody-of-this-name\"") && stderr.contains("useradd"), "{stderr}");
+}

@@ -9,6 +9,7 @@ use std::process::Command;
 use nix::sys::signal::Signal;
 use nix::unistd::geteuid;
 use serde_json::{Value, json};
+use tempfile::TempDir;
 
 use crate::harness::{
     Process, Relay, Settings, Site, eventually, exchange, folder, left_out, pnet_nat,
@@ -151,6 +152,137 @@ fn a_password_of_somebody_elses_is_refused_from_the_start() {
     assert!(process.stderr().contains("let the user that runs pnet-nat own it"));
 }
 
+/// A relay whose folders everybody can look into, and whose files are this user's.
+fn owned(site: &Site, user: u32, runtime: &str) -> (TempDir, Process) {
+    let settings = Settings { runtime, ..Settings::default() };
+    let configuration = site.configuration(&settings);
+    let start_port = format!("start_port = {}", site.start_port());
+    let folder = folder(&configuration.replace(&start_port, "start_port = 600"));
+    for path in ["", "secrets", "secrets/section-1"] {
+        chown(folder.path().join(path), Some(user), Some(user)).unwrap();
+    }
+    for path in ["", "secrets"] {
+        let everybody = fs::Permissions::from_mode(0o755);
+        fs::set_permissions(folder.path().join(path), everybody).unwrap();
+    }
+    let config = folder.path().join("pnet-nat.toml");
+    let process = Process::start(pnet_nat(&["run", "--config", config.to_str().unwrap()]));
+    (folder, process)
+}
+
+/// Root starts it, and after that nobody in it is root: neither a thread, nor who reads a file.
+#[test]
+fn root_becomes_the_user_that_is_configured() {
+    if !geteuid().is_root() {
+        return left_out("root, to become somebody else");
+    }
+    let site = Site::claim();
+    let (folder, mut process) = owned(&site, 65534, "user = 65534\nworkers = 2\ndrain = \"0s\"");
+    eventually("it relays", || {
+        assert!(!process.has_ended(), "{}", process.stderr());
+        process.logged("relaying").pop()
+    });
+    for (line, expected) in [
+        ("Uid", "65534\t65534\t65534\t65534"),
+        ("Gid", "65534\t65534\t65534\t65534"),
+        ("Groups", ""),
+    ] {
+        let threads = of_each_thread(&process, line);
+        assert!(threads.len() >= 4, "{threads:?}");
+        threads.iter().for_each(|(thread, ids)| assert_eq!(ids, expected, "{line} of {thread}"));
+    }
+    let own_memory = format!("/proc/{}/mem", process.id());
+    assert_eq!(fs::metadata(own_memory).unwrap().uid(), 0, "the memory is not its user's");
+    let line = process.logged("confined").pop();
+    let line = line.or_else(|| process.logged("confined in part").pop()).unwrap();
+    assert_eq!((&line["user"], &line["memory"]), (&json!(65534), &json!("on")), "{line}");
+    assert!(!process.stderr().contains("runs as root"));
+    let (client, node) = (site.client(), site.node(4));
+    exchange(&client, (site.public_address(), 604).into(), &node, 4);
+
+    let reload = |expected: &str| {
+        let before = process.logged(expected).len();
+        process.signal(Signal::SIGHUP);
+        eventually("it has reloaded", || process.logged(expected).into_iter().nth(before))
+    };
+    reload("reload");
+    let password = folder.path().join("secrets/section-1");
+    chown(&password, Some(0), Some(0)).unwrap();
+    reload("reload failed");
+    let fault = process.logged("configuration fault").pop().unwrap();
+    assert!(fault["problem"].as_str().unwrap().contains("Permission denied"), "{fault}");
+    chown(&password, Some(65534), Some(65534)).unwrap();
+    let file = folder.path().join("pnet-nat.toml");
+    let other = fs::read_to_string(&file).unwrap().replace("user = 65534", "user = 65533");
+    fs::write(&file, other).unwrap();
+    let line = reload("reload failed");
+    assert!(line["error"].as_str().unwrap().contains("[runtime] user cannot change"), "{line}");
+    exchange(&client, (site.public_address(), 604).into(), &node, 4);
+}
+
+/// What the user cannot read is told before anything is started, even what root could.
+#[test]
+fn a_user_that_cannot_be_or_cannot_read_is_refused_at_the_start() {
+    if !geteuid().is_root() {
+        return left_out("root, to become somebody else");
+    }
+    let site = Site::claim();
+    for (user, why) in [
+        ("65534", "let the user that runs pnet-nat own it"),
+        ("\"nobody-of-this-name\"", "useradd"),
+        ("\"root\"", "root is what is to be given up"),
+    ] {
+        let (_folder, mut process) = owned(&site, 0, &format!("user = {user}"));
+        assert_eq!(process.end(), Some(2));
+        assert!(process.stderr().contains(why), "{user}: {}", process.stderr());
+    }
+}
+
+/// In a folder right below the root folder, the relay reads its own files and no other, not even one
+/// that takes the place of its own.
+#[test]
+fn a_folder_like_etc_is_not_opened_as_a_whole() {
+    let Ok(folder) = tempfile::tempdir_in("/") else {
+        return left_out("root, for a folder right below the root folder");
+    };
+    let site = Site::claim();
+    let configuration = site.configuration(&Settings::default());
+    let usual = crate::harness::folder(&configuration);
+    let (file, secrets) = (folder.path().join("pnet-nat.toml"), folder.path().join("secrets"));
+    fs::write(&file, &configuration).unwrap();
+    fs::create_dir(&secrets).unwrap();
+    for name in ["section-1", "press"] {
+        fs::copy(usual.path().join("secrets").join(name), secrets.join(name)).unwrap();
+    }
+    fs::copy(secrets.join("press"), folder.path().join("elsewhere")).unwrap();
+    let process = Process::start(pnet_nat(&["run", "--config", file.to_str().unwrap()]));
+    eventually("it relays", || process.logged("relaying").pop());
+    if process.logged("confined").is_empty() {
+        return left_out("Landlock in the kernel");
+    }
+    let told = "when one of these is replaced, restart; in a folder of its own, a reload would do";
+    assert_eq!(process.logged(told).len(), 1);
+    let reload = |expected: &str| {
+        let before = process.logged(expected).len();
+        process.signal(Signal::SIGHUP);
+        eventually("it has reloaded", || process.logged(expected).into_iter().nth(before));
+    };
+
+    fs::write(&file, configuration.replace("secrets/section-1", "secrets/press")).unwrap();
+    reload("reload");
+    fs::write(&file, configuration.replace("secrets/section-1", "elsewhere")).unwrap();
+    reload("reload failed");
+    let fault = process.logged("configuration fault").pop().unwrap();
+    assert!(fault["problem"].as_str().unwrap().contains("Permission denied"), "{fault}");
+
+    let replaced = folder.path().join("new");
+    fs::write(&replaced, &configuration).unwrap();
+    fs::rename(&replaced, &file).unwrap();
+    reload("reload failed");
+    let fault = process.logged("configuration fault").pop().unwrap();
+    assert_eq!(fault["file"], json!(file), "{fault}");
+}
+
 /// Ports below 1024 take the one capability that is kept until the sockets are bound.
 #[test]
 fn low_ports_are_bound_before_the_capability_goes() {
@@ -168,14 +300,17 @@ fn low_ports_are_bound_before_the_capability_goes() {
     relay.finish();
 }
 
-/// As a service manager or a container starts it: a user of its own, no capability.
+/// As a service manager or a container starts it: a user of its own, no capability. That this is who it
+/// is to become is no hindrance; it cannot become anybody else.
 #[test]
 fn a_user_without_any_privilege_is_confined_as_well() {
     if !geteuid().is_root() || Command::new("setpriv").arg("--version").output().is_err() {
         return left_out("root and setpriv, to become somebody else");
     }
     let site = Site::claim();
-    let folder = folder(&site.configuration(&Settings::default()));
+    let settings = Settings { runtime: "user = 65534", ..Settings::default() };
+    let configuration = site.configuration(&settings);
+    let folder = folder(&configuration);
     let own = |path: &std::path::Path| {
         chown(path, Some(65534), Some(65534)).unwrap();
     };
@@ -186,10 +321,13 @@ fn a_user_without_any_privilege_is_confined_as_well() {
     let program = folder.path().join("pnet-nat");
     fs::copy(env!("CARGO_BIN_EXE_pnet-nat"), &program).unwrap();
     fs::set_permissions(&program, fs::Permissions::from_mode(0o755)).unwrap();
-    let mut command = Command::new("setpriv");
-    command.args(["--reuid=65534", "--regid=65534", "--clear-groups"]).arg(&program);
-    command.args(["run", "--config"]).arg(folder.path().join("pnet-nat.toml"));
-    let process = Process::start(command);
+    let start = || {
+        let mut command = Command::new("setpriv");
+        command.args(["--reuid=65534", "--regid=65534", "--clear-groups"]).arg(&program);
+        command.args(["run", "--config"]).arg(folder.path().join("pnet-nat.toml"));
+        Process::start(command)
+    };
+    let process = start();
     let own_memory = format!("/proc/{}/mem", process.id());
     let line = eventually("it is confined", || {
         process.logged("confined").pop().or_else(|| process.logged("confined in part").pop())
@@ -202,4 +340,10 @@ fn a_user_without_any_privilege_is_confined_as_well() {
     }
     let (client, node) = (site.client(), site.node(4));
     exchange(&client, site.public(4), &node, 4);
+
+    let other = configuration.replace("user = 65534", "user = 65533");
+    fs::write(folder.path().join("pnet-nat.toml"), other).unwrap();
+    let mut refused = start();
+    assert_eq!(refused.end(), Some(2));
+    assert!(refused.stderr().contains("only root becomes \"65533\""), "{}", refused.stderr());
 }

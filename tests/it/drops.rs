@@ -4,7 +4,7 @@
 //! Silence is not waited for: a good exchange follows, and has to be the very next thing that the
 //! node and the client see. One worker handles both, in this order.
 
-use std::net::SocketAddr;
+use std::net::{SocketAddr, UdpSocket};
 
 use crate::harness::{
     FIGURE_10, PASSWORD, Peer, Relay, SECOND, Settings, Site, WRONG, datagram, eventually,
@@ -138,6 +138,46 @@ fn more_requests_than_a_flow_or_a_net_may_have() {
         assert_eq!(relay.metrics().sum("pnet_nat_flows_opened_total", &[]), passed);
         relay.finish();
     }
+}
+
+/// R-11: neither by a port of its own nor by the port or the route of another node.
+#[test]
+fn a_node_that_is_not_listed() {
+    let site = Site::claim();
+    let relay = site.relay(Settings::default());
+    let (client, listed, unlisted) = (site.client(), site.node(4), site.node(5));
+    exchange(&client, site.public(4), &listed, 4);
+    UdpSocket::bind(site.public(5)).expect("nobody listens there");
+    client.send(site.public(4), &request(5));
+    relay.expect_drops(&[("request", "node_mismatch", 1)]);
+    exchange(&client, site.public(4), &listed, 4);
+    assert_eq!((unlisted.waiting(), listed.waiting()), (None, None));
+    relay.finish();
+}
+
+/// Who holds one password of a net is not slowed down when he tries others on his open flow, but each
+/// is counted; from a port without a flow he is slowed down like everybody.
+#[test]
+fn guesses_on_an_open_flow_are_not_slowed() {
+    let site = Site::claim();
+    let limits = "[limits]\nwrong_password_burst = 3\nwrong_password_interval = \"1h\"\n\
+                  prefilter = \"off\"";
+    let passwords = "[[udp_range_net.password]]\nname = \"first\"\nfile = \"secrets/section-1\"\n\
+                     [[udp_range_net.password]]\nname = \"second\"\nfile = \"secrets/press\"";
+    let relay = site.relay(Settings { sections: limits, passwords, ..Settings::default() });
+    let (holder, stranger, node) = (site.client(), site.client(), site.node(4));
+    exchange(&holder, site.public(4), &node, 4);
+    let (wrong, second) = (datagram(&FIGURE_10, &[], WRONG), datagram(&FIGURE_10, &[], SECOND));
+    for _ in 0..20 {
+        holder.send(site.public(4), &wrong);
+        stranger.send(site.public(4), &wrong);
+    }
+    stranger.send(site.public(4), &second);
+    holder.send(site.public(4), &second);
+    node.expect(&second);
+    relay.expect_drops(&[("request", "password_wrong", 20 + 3), ("request", "throttled", 17 + 1)]);
+    assert_eq!(node.waiting(), None);
+    relay.finish();
 }
 
 /// A live flow is served while its address, forged, is throttled; a new one of it is not.

@@ -13,7 +13,8 @@ fn flood(site: &Site, relay: &Relay) -> u64 {
     let wrong = datagram(&FIGURE_10, &[1, 2, 3], WRONG);
     let mut sent = 0;
     eventually("the kernel refuses", || {
-        for stranger in &strangers {
+        // Fast enough on a slow machine too, where asking for the metrics takes its time.
+        for stranger in strangers.iter().cycle().take(64) {
             for octets in [&wrong, &vec![0xFF; 40], &wrong, &vec![2, 0, 0, 0]] {
                 stranger.send(site.public(4), octets);
                 sent += 1;

@@ -79,7 +79,12 @@ impl Service {
     }
 
     fn answers_at(&self, start_port: &str, node: &str) -> bool {
-        let (to, password) = ("127.0.0.1", "/etc/pnet-nat/secrets/section-1");
+        self.answers_with("/etc/pnet-nat/secrets/section-1", start_port, node)
+    }
+
+    /// The same with the password in this file.
+    fn answers_with(&self, password: &str, start_port: &str, node: &str) -> bool {
+        let to = "127.0.0.1";
         let request = ["pnet-nat", "request", "--to", to, "--start-port", start_port];
         let request = [&request[..], &["--node", node, "--timeout", "500ms"]];
         let request = [request.concat(), vec!["--password-file", password]].concat();
@@ -123,6 +128,7 @@ fn the_package_is_installed_run_and_removed() {
     let _nodes = configured_and_started(&service);
     confined(&service);
     reloaded(&service);
+    passwords_changed(&service);
     watched(&service);
     removed(&service);
 }
@@ -217,6 +223,56 @@ fn reloaded(service: &Service) {
         service.metrics().breaches().is_empty().then_some(())
     });
 }
+
+/// The service reads copies of the password files. Whether a reload finds other octets in them is up to
+/// systemd's version; a restart does, and a block that is taken out of the configuration is withdrawn
+/// by a reload.
+fn passwords_changed(service: &Service) {
+    let Service(machine) = service;
+    let write = |file: &str, password: &str| {
+        machine.shell(&format!("umask 077; printf %s '{password}' > {file}"));
+    };
+    let (second, old, new) = ("/etc/pnet-nat/secrets/second", "/tmp/old", "/tmp/new");
+    write(second, "t3am-Two");
+    write(old, "t3am-Two");
+    write(new, "t3am-2.1");
+    machine
+        .shell(&format!("mkdir -p {DROP_INS} && printf '{CREDENTIAL}' > {DROP_INS}/second.conf"));
+    machine.shell(&format!("printf '{SECOND_PASSWORD}' >> /etc/pnet-nat/pnet-nat.toml"));
+    machine.run(&["systemctl", "daemon-reload"]);
+    machine.run(&["systemctl", "restart", "pnet-nat"]);
+    let answers = |password| service.answers_with(password, "40000", "1");
+    assert!(answers(old) && service.answers("1"));
+
+    write(second, "t3am-2.1");
+    machine.run(&["systemctl", "reload", "pnet-nat"]);
+    let fresh = answers(new);
+    assert_eq!(answers(old), !fresh, "one of the two is in force");
+    if machine.run(&["systemctl", "--version"]).starts_with("systemd 252 ") {
+        assert!(fresh, "this one makes the copies anew");
+    }
+    machine.run(&["systemctl", "restart", "pnet-nat"]);
+    assert!(answers(new) && !answers(old));
+
+    service.edit("/^# second/,$d");
+    machine.run(&["systemctl", "reload", "pnet-nat"]);
+    eventually("it is withdrawn", || {
+        let withdrawn = service.logged("reload").pop()?["credentials_withdrawn"].clone();
+        (withdrawn == "section-1: second").then_some(())
+    });
+    assert!(!answers(new) && service.answers("1-5"));
+}
+
+const CREDENTIAL: &str = "[Service]\nLoadCredential=second:/etc/pnet-nat/secrets/second\n";
+
+/// Of the last section, which is the only one.
+const SECOND_PASSWORD: &str = "
+# second
+[[udp_range_net.password]]
+name = \"second\"
+file = \"secrets/second\"
+device_file = \"secrets/section-1\"
+";
 
 /// What README.md has for ports below 1024; and a watchdog that need not be waited for.
 const DROP_IN: &str = "[Service]

@@ -2,19 +2,22 @@
 //! what did is in force at once, and what cannot be leaves everything as it was.
 
 use std::collections::BTreeSet;
-use std::fs;
+use std::fs::{self, File};
+use std::io::Write;
 use std::net::UdpSocket;
 use std::os::unix::net::UnixDatagram;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::Relaxed};
 use std::thread;
 
 use nix::sys::signal::Signal;
+use nix::sys::stat::Mode;
+use nix::unistd::mkfifo;
 use serde_json::{Value, json};
 use tempfile::TempDir;
 
 use crate::harness::{
-    DEVICE, FIGURE_10, Over, PASSWORD, PATIENCE, Peer, Relay, SECOND, Settings, Site, close,
-    datagram, eventually, exchange, pnet_nat, request, response,
+    DEVICE, FIGURE_10, Over, PASSWORD, PATIENCE, Peer, Process, Relay, SECOND, Settings, Site,
+    close, datagram, eventually, exchange, folder, left_out, pnet_nat, request, response,
 };
 
 const SUCCESSFUL: &str = "pnet_nat_config_last_reload_successful";
@@ -313,6 +316,62 @@ fn what_cannot_come_into_force_changes_nothing() {
     relay.finish();
 }
 
+/// While it goes over to other ports, the relay has the old sockets and the new ones: with this hard
+/// limit, each half fits and both together do not.
+#[test]
+fn too_few_file_descriptors_for_the_new_sockets_change_nothing() {
+    let site = Site::claim();
+    let sections = [section("a", 21_000, "127.2.1.0"), section("b", 22_000, "127.2.2.0")].concat();
+    let sections = sections.replace("1-20", "1-125");
+    let settings = Settings { sections: &sections, descriptors: Some(440), ..Settings::default() };
+    let first = site.configuration(&settings);
+    let second = first.replace("= 21000", "= 23000").replace("= 22000", "= 24000");
+    let relay = site.relay(settings);
+    let descriptors = || fs::read_dir(format!("/proc/{}/fd", relay.process.id())).unwrap().count();
+    let (client, node) = (site.client(), site.node(4));
+    let port = exchange(&client, site.public(4), &node, 4);
+    let before = descriptors();
+    relay.configure(&second);
+    for _ in 0..3 {
+        let line = relay.reload();
+        let error = line["error"].as_str().unwrap();
+        assert!(error.contains("no file descriptor is left") && error.contains("ulimit"), "{line}");
+        assert_eq!(relay.metrics().sum(SUCCESSFUL, &[]), 0);
+        assert_eq!(exchange(&client, site.public(4), &node, 4), port);
+        // The connection of a request may still be open.
+        assert!(descriptors() <= before + 2, "{} of {before}", descriptors());
+    }
+    UdpSocket::bind((site.public_address(), 23_001)).expect("what was bound is free again");
+    exchange(&site.client(), site.public(4), &node, 4);
+    relay.reload_to(&first);
+    relay.finish();
+}
+
+/// A confined relay reads only folders that its configuration named at the start, and says so.
+#[test]
+fn a_password_file_in_another_folder_is_refused_with_the_remedy() {
+    let site = Site::claim();
+    let first = site.configuration(&Settings::default());
+    let relay = Relay::start(&first, site.admin(), None);
+    if relay.process.logged("confined").is_empty() {
+        return left_out("Landlock in the kernel");
+    }
+    let (client, node) = (site.client(), site.node(4));
+    let port = exchange(&client, site.public(4), &node, 4);
+    let elsewhere = folder("");
+    let password = elsewhere.path().join("secrets/section-1");
+    relay.configure(&first.replace("secrets/section-1", password.to_str().unwrap()));
+    assert_eq!(relay.reload()["message"], "reload failed");
+    let fault = relay.process.logged("configuration fault").pop().unwrap();
+    assert_eq!(fault["key"], "udp_range_net[0].password[0].file", "{fault}");
+    assert!(fault["problem"].as_str().unwrap().contains("Permission denied"), "{fault}");
+    let remedy = fault["remedy"].as_str().unwrap();
+    assert!(remedy.contains("only folders that its configuration named"), "{fault}");
+    assert_eq!(exchange(&client, site.public(4), &node, 4), port);
+    relay.reload_to(&first);
+    relay.finish();
+}
+
 /// Every setting that can change while it runs does.
 #[test]
 fn settings_follow_the_configuration() {
@@ -437,6 +496,31 @@ fn a_flood_of_hangups_is_a_few_reloads() {
     let reloads = relay.process.logged("reload").len();
     assert!(reloads < 250, "{reloads} reloads");
     relay.finish();
+}
+
+/// A service manager may signal whenever it likes: here, while the configuration is being read for
+/// the first time, out of a pipe.
+#[test]
+fn a_hangup_during_the_start_is_a_reload_after_it() {
+    let site = Site::claim();
+    let first = site.configuration(&Settings::default());
+    let folder = folder(&first);
+    let file = folder.path().join("pnet-nat.toml");
+    fs::remove_file(&file).unwrap();
+    mkfifo(&file, Mode::S_IRUSR | Mode::S_IWUSR).unwrap();
+    let mut process = Process::start(pnet_nat(&["run", "--config", file.to_str().unwrap()]));
+    let mut pipe = File::options().write(true).open(&file).unwrap();
+    process.signal(Signal::SIGHUP);
+    let second = site.configuration(&Settings { net: "max_flows = 5", ..Settings::default() });
+    fs::remove_file(&file).unwrap();
+    fs::write(&file, second).unwrap();
+    pipe.write_all(first.as_bytes()).unwrap();
+    drop(pipe);
+    let line = eventually("it reloads", || process.logged("reload").pop());
+    assert_eq!(line["nets_changed"], "section-1", "{line}");
+    process.signal(Signal::SIGTERM);
+    assert_eq!(process.end(), Some(0));
+    assert_eq!(process.logged("reload").len(), 1);
 }
 
 /// systemd, played by a socket.

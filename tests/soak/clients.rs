@@ -17,7 +17,7 @@ const WAIT: Duration = PATIENCE;
 /// Where a node is down now and then.
 const WAIT_FOR_NODE: Duration = Duration::from_secs(3);
 /// Where answers stay away for a second at a time.
-const SHORT_WAIT: Duration = Duration::from_millis(200);
+const SHORT_WAIT: Duration = Duration::from_millis(500);
 /// Of those to whom something happens.
 pub(crate) const CLIENTS_OF_A_KIND: u64 = 8;
 /// Returning clients, each longer away than its flow lasts.
@@ -77,16 +77,18 @@ impl Clients {
         self.all().map(|(_, tally)| tally.answered()).iter().sum()
     }
 
-    /// Exchanges that were lost though password and mapping stood, and the node was up.
-    pub(crate) fn lost(&self, downtimes: &[Range<Instant>]) -> u64 {
-        let meets = |waited: &Range<Instant>, down: &Range<Instant>| {
-            waited.start <= down.end && down.start <= waited.end
-        };
-        let excused = |waited: &&Range<Instant>| downtimes.iter().any(|down| meets(waited, down));
-        let [steady, returning, restarted] = [&self.steady, &self.returning, &self.restarted]
-            .map(|tally| tally.lost.lock().unwrap());
-        let restarted = restarted.iter().filter(|waited| !excused(waited)).count();
-        (steady.len() + returning.len() + restarted) as u64
+    /// Exchanges that were lost though password and mapping stood and the node was up, all the time
+    /// that was waited for them.
+    pub(crate) fn lost(&self, downtimes: &[Range<Instant>], withdrawals: &[Range<Instant>]) -> u64 {
+        [
+            self.steady.lost_outside(&[]),
+            self.returning.lost_outside(&[]),
+            self.restarted.lost_outside(downtimes),
+            self.withdrawn_password.lost_outside(withdrawals),
+            self.withdrawn_mapping.lost_outside(withdrawals),
+        ]
+        .iter()
+        .sum()
     }
 
     /// Prints what each kind has seen.
@@ -141,6 +143,15 @@ async fn keep_returning(tally: Arc<Tally>, over: Arc<AtomicBool>) {
 impl Tally {
     pub(crate) fn answered(&self) -> u64 {
         self.answered.load(Relaxed)
+    }
+
+    /// What was lost while none of this was the matter.
+    fn lost_outside(&self, troubles: &[Range<Instant>]) -> u64 {
+        let meets = |waited: &Range<Instant>, trouble: &Range<Instant>| {
+            waited.start <= trouble.end && trouble.start <= waited.end
+        };
+        let excused = |waited: &&Range<Instant>| troubles.iter().any(|t| meets(waited, t));
+        self.lost.lock().unwrap().iter().filter(|waited| !excused(waited)).count() as u64
     }
 
     async fn exchange(&self, client: &mut Client, node_address: u8, wait: Duration) {

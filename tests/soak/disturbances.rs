@@ -65,6 +65,10 @@ listen = ["{PUBLIC}"]
 [runtime]
 workers = 2
 
+# Clients whose password was withdrawn go on asking with it: they are not to be throttled for that.
+[limits]
+wrong_password_interval = "50ms"
+
 [[udp_range_net]]
 name = "section-1"
 start_port = {SECTION}
@@ -92,11 +96,21 @@ pub(crate) struct Operator<'a> {
     whole: bool,
     /// Exchanges of those from whom something can be withdrawn, when the last reload was done.
     exchanges: [u64; 2],
+    withdrawn_since: Option<Instant>,
+    /// From when to when something was withdrawn, the reloads included.
+    withdrawals: Vec<Range<Instant>>,
 }
 
 impl<'a> Operator<'a> {
     pub(crate) fn new(relay: &'a Relay, clients: &'a Clients) -> Self {
-        Self { relay, clients, whole: true, exchanges: [0; 2] }
+        let (withdrawn_since, withdrawals) = (None, Vec::new());
+        Self { relay, clients, whole: true, exchanges: [0; 2], withdrawn_since, withdrawals }
+    }
+
+    /// From when to when something was withdrawn.
+    pub(crate) fn withdrawals(mut self) -> Vec<Range<Instant>> {
+        self.withdrawals.extend(self.withdrawn_since.map(|since| since..Instant::now()));
+        self.withdrawals
     }
 
     /// What was withdrawn last time has stopped at once, and works again now; or the other way
@@ -109,6 +123,9 @@ impl<'a> Operator<'a> {
             assert!(now <= limit, "{} exchanges after it was withdrawn", now - before);
         }
         self.whole = !self.whole;
+        if !self.whole {
+            self.withdrawn_since = Some(Instant::now());
+        }
         let file = self.relay.folder.path().join("pnet-nat.toml");
         replace(&file, configuration(self.whole).as_bytes());
         let asked = UNIX_EPOCH.elapsed().unwrap().as_secs();
@@ -124,6 +141,8 @@ impl<'a> Operator<'a> {
                 let again = self.exchanges().into_iter().zip(self.exchanges);
                 again.into_iter().all(|(now, before)| now > before).then_some(())
             });
+            let since = self.withdrawn_since.take();
+            self.withdrawals.extend(since.map(|since| since..Instant::now()));
         }
     }
 

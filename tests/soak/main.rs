@@ -5,8 +5,9 @@
 //! stands in network namespaces: clients ask as fast as they are answered, strangers flood, the
 //! operator brings a new configuration every second, and a node loses power every five.
 //!
-//! In the end no exchange was lost that need not be, the law of the counters holds, and memory and
-//! file descriptors stayed as they were.
+//! In the end no exchange was lost that need not be, not even of those whose password or public port
+//! comes and goes, while it stood; the law of the counters holds, and memory and file descriptors
+//! stayed as they were.
 
 mod clients;
 mod disturbances;
@@ -16,6 +17,7 @@ mod harness;
 mod usage;
 
 use std::env;
+use std::ops::Range;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
 use std::thread;
@@ -28,6 +30,10 @@ use usage::{Overflows, Usage};
 
 const SHORT: Duration = Duration::from_secs(25);
 const RELOAD_INTERVAL: Duration = Duration::from_secs(1);
+/// Of so many exchanges one may be lost for a full queue; and a few more, at one moment in which the
+/// machine had no time for the relay. All clients together wait in vain 64 times in 20 s, if it is dead.
+const EXCHANGES_FOR_A_LOSS: u64 = 100_000;
+const MOMENT_OF_LOSS: u64 = 8;
 /// In reloads.
 const RESTART_INTERVAL: u64 = 5;
 const PROGRESS_INTERVAL: u64 = 5;
@@ -52,17 +58,17 @@ fn soak(network: &Network, time: Duration) {
     let mut plant = Plant::start(network, relay.folder.path());
     let (clients, overflows) = (Clients::default(), Overflows::now(network));
     let over = Arc::new(AtomicBool::new(false));
-    let (usage, flooded) = thread::scope(|scope| {
+    let ((usage, withdrawals), flooded) = thread::scope(|scope| {
         let _at_the_end = Over(&over); // also when a thread panics
         scope.spawn(|| network.internet.enter(|| clients.ask(&over)));
         let stranger = scope.spawn(|| network.internet.enter(|| flood(&over)));
-        let usage = go_on(time, &relay, &mut plant, &clients);
+        let seen = go_on(time, &relay, &mut plant, &clients);
         over.store(true, Relaxed);
-        (usage, stranger.join().unwrap())
+        (seen, stranger.join().unwrap())
     });
 
     let overflows = Overflows::now(network).since(&overflows);
-    let lost = clients.lost(&plant.downtimes);
+    let lost = clients.lost(&plant.downtimes, &withdrawals);
     println!("\nafter {}:", humantime::format_duration(time));
     clients.tell();
     println!("strangers: {flooded} datagrams, none answered");
@@ -70,12 +76,22 @@ fn soak(network: &Network, time: Duration) {
     println!("{usage}");
     println!("full queues: {overflows}; the relay counts {}", kernel_drops(&relay));
     println!("lost without another reason: {lost}");
+    // A full queue takes exchanges along. But strangers fill it, so of what it took next to nothing may
+    // have been anybody's exchange.
     assert!(lost <= overflows.total(), "exchanges were lost, and not for a full queue");
+    let bearable = MOMENT_OF_LOSS + clients.answered() / EXCHANGES_FOR_A_LOSS;
+    assert!(lost <= bearable, "more than {bearable} exchanges were lost");
     usage.assert_flat();
     relay.finish();
 }
 
-fn go_on(time: Duration, relay: &Relay, plant: &mut Plant<'_>, clients: &Clients) -> Usage {
+/// Disturbs until the time is over; tells what the relay took, and when something was withdrawn.
+fn go_on(
+    time: Duration,
+    relay: &Relay,
+    plant: &mut Plant<'_>,
+    clients: &Clients,
+) -> (Usage, Vec<Range<Instant>>) {
     let (start, mut usage) = (Instant::now(), Usage::default());
     let (mut operator, mut at_last_restart) = (Operator::new(relay, clients), 0);
     for round in 1.. {
@@ -99,7 +115,7 @@ fn go_on(time: Duration, relay: &Relay, plant: &mut Plant<'_>, clients: &Clients
             break;
         }
     }
-    usage
+    (usage, operator.withdrawals())
 }
 
 /// By cause.

@@ -15,6 +15,7 @@ pub(super) fn rules(input: &mut Input<'_>) -> Rules {
     let limits = Limits {
         max_flows: 1 + u32::from(bounds % 16),
         wrong_password_burst: 2,
+        wrong_password_address_burst: 1024,
         wrong_password_interval: Duration::from_secs(60),
     };
     let section_flows = 1 + u32::from(bounds / 16);

@@ -105,6 +105,7 @@ impl Plant {
             limits: Limits {
                 max_flows: 64,
                 wrong_password_burst: 10,
+                wrong_password_address_burst: 5120,
                 wrong_password_interval: Duration::from_millis(200),
             },
             runtime: Runtime::default(),

@@ -99,6 +99,7 @@ fn the_sound_configuration_is_sound_and_complete() {
     let limits = Limits {
         max_flows: 65_536,
         wrong_password_burst: 10,
+        wrong_password_address_burst: 5120,
         wrong_password_interval: Duration::from_secs(6),
     };
     assert_eq!(config.limits, limits);
@@ -143,9 +144,11 @@ header = "0a000001"
 [limits]
 max_flows = 100
 wrong_password_burst = 3
+wrong_password_address_burst = 50
 wrong_password_interval = "1m"
 audit_lines = 7
 [runtime]
+user = 990
 workers = 3
 receive_buffer = 65536
 drain = "0s"
@@ -155,9 +158,12 @@ listen = "[::1]:0"
 "#;
     let (config, _) = read(&text).unwrap();
     assert_eq!(config.table.header, Header([0x0a, 0, 0, 1]));
-    assert_eq!((config.limits.max_flows, config.limits.wrong_password_burst), (100, 3));
-    assert_eq!(config.limits.wrong_password_interval, Duration::from_secs(60));
+    assert_eq!(config.limits.wrong_password_address_burst, 50);
+    let limits = config.limits;
+    assert_eq!((limits.max_flows, limits.wrong_password_burst), (100, 3));
+    assert_eq!(limits.wrong_password_interval, Duration::from_secs(60));
     assert_eq!(config.runtime.audit_lines, 7);
+    assert_eq!(config.runtime.user.as_deref(), Some("990"));
     assert_eq!(config.runtime.workers, NonZeroUsize::new(3));
     assert_eq!((config.runtime.receive_buffer, config.runtime.drain), (65_536, Duration::ZERO));
     assert!(config.admin.is_none());

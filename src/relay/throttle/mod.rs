@@ -21,8 +21,6 @@ use super::throttled::{ThrottleScope, Throttled};
 
 const SETS: usize = 512;
 const WAYS: usize = 4;
-/// An address may send as many wrong passwords as so many of its ports, in the same time.
-const PORTS_OF_AN_ADDRESS: u64 = 512;
 
 /// The buckets of those who sent a wrong password.
 #[derive(Debug)]
@@ -30,6 +28,9 @@ pub(super) struct Throttle {
     hash: foldhash::fast::RandomState,
     addresses: Buckets,
     senders: Buckets,
+    /// Whether somebody may owe more than the limits let anybody owe: they are other ones than when
+    /// he guessed.
+    clamp_is_due: bool,
 }
 
 /// Buckets of one scope. Each scope has its own, or the two of one sender could push each other out.
@@ -57,6 +58,8 @@ struct Rate {
     interval: u64,
     /// What may be owed at most when one more wrong password is still bearable.
     bearable: u64,
+    /// The most that anybody can owe: the time until who guesses no more is forgiven all.
+    most: u64,
 }
 
 /// [`Throttled`], as the table keeps it.
@@ -73,14 +76,17 @@ impl Throttle {
             hash: foldhash::fast::RandomState::default(),
             addresses: Buckets::new(ThrottleScope::Address, limits),
             senders: Buckets::new(ThrottleScope::Sender, limits),
+            clamp_is_due: false,
         }
     }
 
-    /// Goes over to other limits; what senders owe stays.
+    /// Goes over to other limits. What senders owe stays, as far as they could owe it under the new
+    /// ones: it is kept as a time, and "24h" made "1s" would not let go of them for days.
     pub(super) fn set_limits(&mut self, limits: &Limits) {
         for buckets in [&mut self.addresses, &mut self.senders] {
             buckets.rate = Rate::of(buckets.scope, limits);
         }
+        self.clamp_is_due = true;
     }
 
     /// Whether a password that this sender sent to this public port is looked at.
@@ -92,6 +98,7 @@ impl Throttle {
         mapping: MappingId,
         shell: &mut impl Shell,
     ) -> bool {
+        self.clamp_if_due(now);
         let address_key = self.address_key(sender);
         let (refusing, key) = if !self.addresses.bear(now, address_key) {
             (&mut self.addresses, address_key)
@@ -126,6 +133,7 @@ impl Throttle {
     /// Tells of those whose wrong passwords are all forgiven; not before, or who goes on guessing
     /// would be told of each time that one is. To be called about once a second.
     pub(super) fn expire(&mut self, now: Nanos, shell: &mut impl Shell) {
+        self.clamp_if_due(now);
         self.addresses.expire(now, shell);
         self.senders.expire(now, shell);
     }
@@ -133,6 +141,13 @@ impl Throttle {
     /// Whether nobody is throttled, so that nothing will expire.
     pub(super) fn is_quiet(&self) -> bool {
         self.addresses.throttled_now == 0 && self.senders.throttled_now == 0
+    }
+
+    fn clamp_if_due(&mut self, now: Nanos) {
+        if std::mem::take(&mut self.clamp_is_due) {
+            self.addresses.clamp(now);
+            self.senders.clamp(now);
+        }
     }
 
     fn address_key(&self, sender: SocketAddr) -> u64 {
@@ -194,6 +209,13 @@ impl Buckets {
         Some(pushed_out.told(self.scope, now))
     }
 
+    fn clamp(&mut self, now: Nanos) {
+        let latest = now.saturating_add(self.rate.most);
+        for offender in self.sets.as_flattened_mut() {
+            offender.forgiven_at = offender.forgiven_at.min(latest);
+        }
+    }
+
     fn expire(&mut self, now: Nanos, shell: &mut impl Shell) {
         if self.throttled_now == 0 {
             return;
@@ -217,13 +239,15 @@ impl Record {
 
 impl Rate {
     fn of(scope: ThrottleScope, limits: &Limits) -> Self {
-        let share = match scope {
-            ThrottleScope::Sender => 1,
-            ThrottleScope::Address => PORTS_OF_AN_ADDRESS,
+        let senders_burst = u64::from(limits.wrong_password_burst);
+        let burst = match scope {
+            ThrottleScope::Sender => senders_burst,
+            ThrottleScope::Address => u64::from(limits.wrong_password_address_burst),
         };
-        let burst = u64::from(limits.wrong_password_burst) * share;
-        let interval = nanos(limits.wrong_password_interval) / share;
-        Self { interval, bearable: interval.saturating_mul(burst.saturating_sub(1)) }
+        // Whatever is owed, all of it is forgiven in the same time.
+        let most = nanos(limits.wrong_password_interval).saturating_mul(senders_burst);
+        let interval = most / burst.max(1);
+        Self { interval, bearable: interval.saturating_mul(burst.saturating_sub(1)), most }
     }
 }
 

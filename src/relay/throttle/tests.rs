@@ -61,8 +61,16 @@ impl Rig {
 }
 
 fn limits(wrong_password_burst: u16) -> Limits {
-    let wrong_password_interval = Duration::from_secs(6);
-    Limits { max_flows: 1, wrong_password_burst, wrong_password_interval }
+    limits_each(wrong_password_burst, Duration::from_secs(6))
+}
+
+fn limits_each(wrong_password_burst: u16, wrong_password_interval: Duration) -> Limits {
+    Limits {
+        max_flows: 1,
+        wrong_password_burst,
+        wrong_password_address_burst: 512 * u32::from(wrong_password_burst),
+        wrong_password_interval,
+    }
 }
 
 fn v4(last: u32, port: u16) -> SocketAddr {
@@ -98,6 +106,19 @@ fn an_address_is_throttled_whatever_port_it_takes() {
     assert!(!rig.admits(START, v4(1, 7)));
     assert!(rig.admits(START, v4(2, 7)), "another address is not concerned");
     assert!(rig.admits(START + SECOND, v4(1, 7)), "forgiven 512 times as fast");
+}
+
+/// In the time in which a sender is forgiven all, so is its address.
+#[test]
+fn how_much_an_address_may_send_is_a_setting() {
+    let limits = Limits { wrong_password_address_burst: 36, ..limits(3) };
+    let mut rig = Rig { throttle: Throttle::new(&limits), told: Told::default() };
+    let wrong = (1000..).take_while(|&port| rig.guess(START, v4(1, port)));
+    assert_eq!(wrong.count(), 36);
+    let half_a_second = START + SECOND / 2;
+    assert!(!rig.admits(half_a_second - 1, v4(1, 7)));
+    assert!(rig.guess(half_a_second, v4(1, 7)));
+    assert!(!rig.admits(half_a_second, v4(1, 8)));
 }
 
 #[test]
@@ -188,4 +209,41 @@ fn new_limits_hold_at_once_for_what_is_owed() {
     assert!(!rig.guess(START, v4(1, 7)));
     rig.throttle.set_limits(&limits(3));
     assert!(rig.guess(START, v4(1, 7)));
+}
+
+/// What is owed was counted by the old interval: nobody owes more than he could under the new one.
+#[test]
+fn shorter_limits_let_go_of_who_was_throttled_by_longer_ones() {
+    const DAY: Duration = Duration::from_secs(24 * 60 * 60);
+    let mut rig = Rig::new();
+    rig.throttle.set_limits(&limits_each(3, DAY));
+    while (1000..2000).any(|port| rig.guess(START, v4(1, port))) {}
+    assert_eq!(rig.throttle.addresses.throttled_now, 1);
+    assert!(!rig.admits(START + 3 * SECOND, v4(1, 1000)));
+
+    rig.throttle.set_limits(&limits_each(3, Duration::from_secs(1)));
+    let reloaded = START + 4 * SECOND;
+    assert!(!rig.throttle.is_quiet());
+    rig.throttle.expire(reloaded, &mut rig.told);
+    for now in [reloaded, reloaded + SECOND / 512 - 1] {
+        assert!(!rig.admits(now, v4(1, 1000)), "it owes the most that anybody can");
+    }
+    let of_address = reloaded + SECOND.div_ceil(512);
+    assert!(rig.admits(of_address, v4(1, 7)));
+    assert!(!rig.admits(of_address, v4(1, 1000)));
+    assert!(rig.admits(reloaded + SECOND, v4(1, 1000)));
+    rig.throttle.expire(reloaded + 3 * SECOND, &mut rig.told);
+    assert!(rig.throttle.is_quiet());
+    assert_eq!(rig.told.begun, rig.told.ended);
+}
+
+/// Nobody is told of when nobody was refused, and yet what he owes is clamped.
+#[test]
+fn who_was_not_refused_yet_is_let_go_of_as_well() {
+    let mut rig = Rig::new();
+    rig.throttle.set_limits(&limits_each(3, Duration::from_secs(24 * 60 * 60)));
+    (0..3).for_each(|_| assert!(rig.guess(START, v4(1, 7))));
+    rig.throttle.set_limits(&limits_each(3, Duration::from_secs(1)));
+    assert!(!rig.admits(START, v4(1, 7)));
+    assert!(rig.admits(START + SECOND, v4(1, 7)));
 }

@@ -1,7 +1,11 @@
 //! Queues and buffers of the kernel that are full.
 
+use std::time::Duration;
+
 use super::Sections;
-use crate::harness::{Settings, Site, eventually, exchange, request, response};
+use crate::harness::{
+    FIGURE_10, PASSWORD, Settings, Site, datagram, eventually, exchange, request, response,
+};
 
 /// The queue of section 1's interface takes next to nothing. Of what it refuses, the kernel tells
 /// nobody but its own figures: to the relay it is forwarded.
@@ -24,6 +28,53 @@ fn a_full_queue_of_an_interface() {
             arrived += 1;
         }
         assert!(arrived < 10, "{arrived}");
+        sections.all_is_well_again(port);
+    });
+}
+
+/// For a node that is switched off the kernel is told to hold back more than a send buffer has room for.
+/// What finds no room (EAGAIN) is dropped and counted, also of who shares the socket; when the kernel
+/// lets go, all go on.
+#[test]
+fn a_full_send_buffer() {
+    Sections::scenario(|sections| {
+        let port = sections.exchange_with_section_1();
+        let (edge, plant) = (&sections.network.edge, &sections.network.plant);
+        // As much as it likes, for as long as it takes.
+        for setting in ["unres_qlen_bytes=100000000", "mcast_solicit=120"] {
+            edge.output(&["sysctl", "-w", &format!("net.ipv4.neigh.eth1.{setting}")]);
+        }
+        plant.ip("address delete 172.17.17.4/24 dev eth0");
+        edge.ip("neighbour flush dev eth1");
+        let failed = |net| {
+            let labels = [("net", net), ("direction", "request"), ("reason", "send_failed")];
+            sections.relay.metrics().sum("pnet_nat_dropped_datagrams_total", &labels)
+        };
+        let largest = datagram(&FIGURE_10, &[0; 63], PASSWORD);
+        eventually("the send buffer is full", || {
+            for _ in 0..4000 {
+                sections.client.send(sections.section_1(), &largest);
+            }
+            (failed("section-1") > 0).then_some(())
+        });
+        let complaint = eventually("it is told", || {
+            sections.relay.process.logged("cannot send to a server").pop()
+        });
+        assert!(complaint["error"].as_str().unwrap().contains("os error 11"), "{complaint}");
+        sections.client.send(sections.section_2(), &request(1));
+        eventually("section 2 shares the socket", || (failed("section-2") == 1).then_some(()));
+        sections.relay.expect_law();
+
+        plant.ip("address add 172.17.17.4/24 dev eth0");
+        let held_back = sections.node.receive().0;
+        assert_eq!(held_back, largest);
+        while sections.node.receive_within(Duration::from_millis(200)).is_some() {}
+        let before = [failed("section-1"), failed("section-2")];
+        sections.only_section_1_is_hurt(30);
+        for _ in 0..30 {
+            sections.node.expect(&request(4));
+        }
+        assert_eq!([failed("section-1"), failed("section-2")], before);
         sections.all_is_well_again(port);
     });
 }

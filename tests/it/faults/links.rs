@@ -84,8 +84,9 @@ struct Passed {
     to_client: Vec<u16>,
 }
 
-/// Sends numbered requests and has the node answer each that comes. So many have to come to the
-/// relay, to the node, to the relay again, and to the client.
+/// Sends numbered requests to node 4 and has it answer each that comes. So many have to come to the
+/// relay, to the node, to the relay again, and to the client. Meanwhile somebody else talks to node 3
+/// over the same lines, which do nothing to him: he has each answer at once.
 fn pass(lines: Lines<'_>, requests: u16, expected: [usize; 4]) -> Option<Passed> {
     let [to_relay, to_node, from_node, to_client] = expected;
     let network = Network::build().filter(|_| has_nft())?;
@@ -94,6 +95,8 @@ fn pass(lines: Lines<'_>, requests: u16, expected: [usize; 4]) -> Option<Passed>
         let relay = network.place(r#"["0.0.0.0"]"#).relay(&Settings::default());
         let (client, node) = (network.client("198.51.100.7"), network.node(4));
         let public = network.public("198.51.100.1", 4);
+        let (bystander, node_3) = (network.client("198.51.100.8"), network.node(3));
+        let public_3 = network.public("198.51.100.1", 3);
         let from_relay = exchange(&client, public, &node, 4);
         network.internet.nft(lines.internet);
         network.edge.nft(lines.edge);
@@ -121,6 +124,7 @@ fn pass(lines: Lines<'_>, requests: u16, expected: [usize; 4]) -> Option<Passed>
         };
         for n in 0..requests {
             client.send(public, &numbered(n));
+            exchange(&bystander, public_3, &node_3, 3);
         }
         for _ in 0..to_node {
             let relay = take(&node, &mut passed.to_node);
@@ -136,6 +140,9 @@ fn pass(lines: Lines<'_>, requests: u16, expected: [usize; 4]) -> Option<Passed>
             let labels = [("node", "4"), ("direction", direction)];
             let received = metrics.sum("pnet_nat_received_datagrams_total", &labels);
             assert_eq!(received as usize, datagrams + 1, "{direction}s, and the first exchange");
+            let of_bystander = [("node", "3"), ("direction", direction)];
+            let received = metrics.sum("pnet_nat_received_datagrams_total", &of_bystander);
+            assert_eq!(received, u64::from(requests), "{direction}s of the bystander");
         }
         assert_eq!((node.waiting(), client.waiting()), (None, None));
         relay.finish();
@@ -152,9 +159,9 @@ fn lines_that_lose() {
             udp sport 40004 numgen inc mod 4 0 drop; }; }",
         edge: "table inet line { chain in { type filter hook prerouting priority raw;
             udp dport 40004 numgen inc mod 5 0 drop;
-            udp sport 34379 numgen inc mod 5 0 drop; }; }",
+            ip saddr 172.17.17.4 udp sport 34379 numgen inc mod 5 0 drop; }; }",
         plant: "table inet line { chain in { type filter hook prerouting priority raw;
-            udp dport 34379 numgen inc mod 4 0 drop; }; }",
+            ip daddr 172.17.17.4 udp dport 34379 numgen inc mod 4 0 drop; }; }",
     };
     let Some(passed) = pass(lines, 100, [80, 60, 48, 36]) else { return };
     assert!(passed.to_node.is_sorted() && passed.to_client.is_sorted());
@@ -169,11 +176,13 @@ fn lines_that_repeat() {
                 {what} dup to {to}; }}; }}\n"
         )
     };
-    let edge = twice("udp dport 34379", "172.17.17.4") + &twice("udp sport 40004", "198.51.100.7");
+    let to_node = "ip daddr 172.17.17.4 udp dport 34379";
+    let from_node = "ip saddr 172.17.17.4 udp sport 34379";
+    let edge = twice(to_node, "172.17.17.4") + &twice("udp sport 40004", "198.51.100.7");
     let lines = Lines {
         internet: &twice("udp dport 40004", "198.51.100.1"),
         edge: &edge,
-        plant: &twice("udp sport 34379", "172.17.17.254"),
+        plant: &twice(from_node, "172.17.17.254"),
     };
     let Some(passed) = pass(lines, 15, [30, 60, 120, 240]) else { return };
     for (list, copies) in [(&passed.to_node, 4), (&passed.to_client, 16)] {
@@ -191,9 +200,10 @@ fn lines_that_reorder() {
                 {what} numgen inc mod 3 0 meta priority set \"1:2\"; }}; }}"
         )
     };
-    let edge = slow("udp dport 34379") + "\n" + &slow("udp sport 40004");
-    let lines =
-        Lines { internet: &slow("udp dport 40004"), edge: &edge, plant: &slow("udp sport 34379") };
+    let to_node = slow("ip daddr 172.17.17.4 udp dport 34379");
+    let from_node = slow("ip saddr 172.17.17.4 udp sport 34379");
+    let edge = to_node + "\n" + &slow("udp sport 40004");
+    let lines = Lines { internet: &slow("udp dport 40004"), edge: &edge, plant: &from_node };
     let Some(mut passed) = pass(lines, 100, [100; 4]) else { return };
     for list in [&mut passed.to_node, &mut passed.to_client] {
         assert!(!list.is_sorted(), "nothing was overtaken: {list:?}");

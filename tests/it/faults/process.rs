@@ -1,13 +1,16 @@
 //! What the relay's own process runs out of, and watchers that hold on to it.
 
+use std::fs::File;
 use std::io::Write;
 use std::net::TcpStream;
 use std::process::Command;
 
 use nix::sys::resource::{Resource, getrlimit};
+use nix::sys::stat::Mode;
+use nix::unistd::mkfifo;
 use socket2::{Domain, Socket, Type};
 
-use crate::harness::{Relay, Settings, Site, eventually, exchange, request};
+use crate::harness::{Relay, Settings, Site, eventually, exchange, pnet_nat, request};
 
 /// Not one file descriptor can be had any more: a new client finds no upstream socket, the admin
 /// server accepts nobody. Who is known goes on, and when it is over, all do.
@@ -42,6 +45,48 @@ fn no_file_descriptors_left() {
     assert_eq!(relay.process.logged("cannot open an upstream socket").len(), 1);
     assert_ne!(exchange(&new, site.public(4), &node, 4), port);
     assert_eq!(exchange(&known, site.public(4), &node, 4), port);
+    relay.finish();
+}
+
+/// Standard error is a pipe that is full, as when a log collector hangs: no line of the log can be
+/// written any more. Requests, reloads and scrapes go on, and what is lost is counted.
+#[test]
+fn a_log_that_nobody_reads() {
+    let site = Site::claim();
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("log");
+    mkfifo(&path, Mode::S_IRUSR | Mode::S_IWUSR).unwrap();
+    // Somebody has it open, or the relay would not get to open it.
+    let _reader = File::options().read(true).write(true).open(&path).unwrap();
+    let sound =
+        site.configuration(&Settings::default()).replace("[admin]", "[admin]\nreload = true");
+    let relay = Relay::start_as(&sound, site.admin(), |arguments| {
+        let relay = pnet_nat(arguments);
+        let mut command = Command::new("sh");
+        command.args(["-c", "exec \"$@\" 2>\"$0\""]).arg(&path);
+        command.arg(relay.get_program()).args(relay.get_args());
+        command
+    });
+    let (client, node) = (site.client(), site.node(4));
+    let port = exchange(&client, site.public(4), &node, 4);
+    let lost = || relay.metrics().sum("pnet_nat_log_lines_lost_total", &[]);
+    assert_eq!(lost(), 0);
+
+    // Each fault is a line.
+    let faults = vec!["200"; 1000].join(", ");
+    relay.configure(&sound.replace("\"1-4\", 33", &faults));
+    let mut reloads = 0;
+    eventually("lines are lost", || {
+        assert_eq!(relay.post_reload().0, 422);
+        assert_eq!(exchange(&client, site.public(4), &node, 4), port);
+        reloads += 1;
+        (lost() > 0).then_some(())
+    });
+    let lines = reloads * 1001;
+    assert!(lost() <= lines - 16 * 1024 + 1, "{} of {lines}", lost());
+    relay.configure(&sound);
+    assert_eq!(relay.post_reload().0, 200);
+    exchange(&site.client(), site.public(4), &node, 4);
     relay.finish();
 }
 
