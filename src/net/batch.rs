@@ -128,11 +128,11 @@ impl Batch {
         self.used + AT_ONCE > SLOTS
     }
 
-    /// Takes what waits on a socket, up to [`AT_ONCE`] datagrams, and returns how many.
-    pub(super) fn receive(&mut self, socket: BorrowedFd<'_>) -> io::Result<usize> {
-        let headers = &mut self.incoming[self.used..self.used + AT_ONCE];
+    /// Takes what waits on a socket, up to `most` datagrams, of [`AT_ONCE`], and returns how many.
+    pub(super) fn receive(&mut self, socket: BorrowedFd<'_>, most: usize) -> io::Result<usize> {
+        let headers = &mut self.incoming[self.used..][..most];
         loop {
-            // SAFETY: there are AT_ONCE headers, whose pointers lead to slots of boxed slices that
+            // SAFETY: there are `most` headers, whose pointers lead to slots of boxed slices that
             // `self` owns, and which say how long these are; `self` is borrowed exclusively during
             // the call.
             let received = unsafe {
@@ -140,7 +140,7 @@ impl Batch {
                     libc::SYS_recvmmsg,
                     socket.as_raw_fd(),
                     headers.as_mut_ptr(),
-                    AT_ONCE,
+                    most,
                     libc::MSG_DONTWAIT,
                     std::ptr::null_mut::<libc::timespec>(),
                 )
@@ -151,7 +151,7 @@ impl Batch {
             let error = io::Error::last_os_error();
             match error.kind() {
                 io::ErrorKind::WouldBlock => return Ok(0),
-                io::ErrorKind::Interrupted => {} // to miss what is there is to miss it for good
+                io::ErrorKind::Interrupted => {}
                 _ => return Err(error),
             }
         }

@@ -12,6 +12,7 @@ mod busy;
 mod complaints;
 mod descriptors;
 mod flood;
+mod helping;
 mod in_force;
 mod place;
 mod prefilter;

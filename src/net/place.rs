@@ -36,8 +36,8 @@ impl Place {
         }
     }
 
-    /// To be told when something arrives here, once for each time.
+    /// To be told at every wake-up for as long as something is here.
     pub(super) fn arrivals(self) -> EpollEvent {
-        EpollEvent::new(EpollFlags::EPOLLIN | EpollFlags::EPOLLET, self.key())
+        EpollEvent::new(EpollFlags::EPOLLIN, self.key())
     }
 }

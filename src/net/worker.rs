@@ -1,6 +1,6 @@
 //! One worker: its public sockets, its upstream sockets, its core.
 //!
-//! A wake-up takes what is ready, at most one batch a socket, lets the core judge it, and sends
+//! A wake-up takes what is ready, at most one helping a socket, lets the core judge it, and sends
 //! what may pass. A socket that has more waits for its next turn, so a flood on one port does not
 //! starve the others, nor the responses.
 
@@ -21,11 +21,12 @@ use crate::relay::{
 };
 
 use super::audit::Audit;
-use super::batch::{AT_ONCE, Batch, Tag};
+use super::batch::{Batch, Tag};
 use super::bind::StartError;
 use super::busy::BusyPoll;
 use super::complaints::Complaints;
 use super::flood::FloodGuard;
+use super::helping::Helpings;
 use super::place::Place;
 use super::prefilter;
 use super::public::{Listener, Listeners, NetDrops};
@@ -71,10 +72,7 @@ pub(super) struct Worker {
     upstream: UpstreamSockets,
     epoll: Arc<Epoll>,
     batch: Batch,
-    /// Sockets that may have more than their last batch, or had something before they had their
-    /// place. The kernel tells of a socket only when something arrives there, so it does not tell
-    /// of these.
-    unfinished: Vec<Place>,
+    helpings: Helpings,
     commands: Receiver<Command>,
     drain_until: Option<Instant>,
     ticker: Ticker,
@@ -134,7 +132,7 @@ impl Worker {
             ),
             epoll: parts.epoll,
             batch: Batch::new(),
-            unfinished: Vec::new(),
+            helpings: Helpings::default(),
             commands: parts.commands,
             drain_until: None,
             ticker,
@@ -148,7 +146,6 @@ impl Worker {
     /// Relays until told to drain, and drained.
     pub(super) fn run(mut self) {
         let mut events = [EpollEvent::empty(); EVENTS];
-        let mut unfinished = Vec::new();
         loop {
             let ready = match self.epoll.wait(&mut events, self.time_out()) {
                 Ok(ready) => ready,
@@ -159,11 +156,10 @@ impl Worker {
                 }
             };
             let now = Instant::now();
-            mem::swap(&mut self.unfinished, &mut unfinished);
+            self.helpings.next_turn();
             for event in &events[..ready] {
                 self.take(Place::from_key(event.data()), now);
             }
-            unfinished.drain(..).for_each(|place| self.take(place, now));
             self.flush();
             self.busy.note(now, ready);
             self.ticker.run(!self.core.is_idle() || !self.floods.is_quiet());
@@ -177,7 +173,7 @@ impl Worker {
 
     fn time_out(&self) -> EpollTimeout {
         let wait = match self.drain_until {
-            _ if self.busy.goes_on() || !self.unfinished.is_empty() => Duration::ZERO,
+            _ if self.busy.goes_on() => Duration::ZERO,
             Some(_) => DRAIN_TICK,
             None => return EpollTimeout::NONE,
         };
@@ -194,15 +190,14 @@ impl Worker {
             Place::Tick => return self.tick(now),
         };
         self.batch.keep(received);
-        if received == AT_ONCE {
-            self.unfinished.push(place);
-        }
+        self.helpings.note(place, received);
     }
 
     fn take_requests(&mut self, id: ListenerId, now: Instant) -> usize {
         // Its socket may be closed, or not have its place yet.
         let Some(listener) = self.listeners.get(id) else { return 0 };
-        let received = self.batch.receive(listener.socket.socket.as_fd());
+        let most = self.helpings.most(Place::Public(id));
+        let received = self.batch.receive(listener.socket.socket.as_fd(), most);
         let received = received.unwrap_or_else(|error| {
             self.complaints.note(&error, "cannot receive on a public socket");
             0
@@ -235,7 +230,8 @@ impl Worker {
 
     fn take_responses(&mut self, id: UpstreamId, now: Instant) -> usize {
         let Some(socket) = self.upstream.get(id) else { return 0 };
-        let received = self.batch.receive(socket).unwrap_or_else(|error| {
+        let most = self.helpings.most(Place::Upstream(id));
+        let received = self.batch.receive(socket, most).unwrap_or_else(|error| {
             self.complaints.note(&error, "cannot receive from the servers");
             0
         });
@@ -336,8 +332,6 @@ impl Worker {
             }
         }
         self.floods.reload(runtime.prefilter, Arc::clone(&table), &before, after);
-        let new = after.iter().filter(|&(id, _)| !after.keeps(id, &before));
-        self.unfinished.extend(new.map(|(id, _)| Place::Public(id)));
         self.upstream.reload(upstream_limit, &runtime, table);
         self.busy = BusyPoll::new(runtime.busy_poll);
         Reloaded { counters, flows_closed }

@@ -166,8 +166,8 @@ pub struct Prepared {
 }
 
 /// Gives up at once what not even the start needs: debuggers, privileges of programs that it might
-/// start, and all capabilities but those for ports below 1024 and for becoming [`User`]. So a file that could not be read
-/// again later, confined, is not read now either.
+/// start, and all capabilities but those for ports below 1024 and for becoming a [`User`]. So a file
+/// that could not be read again later, confined, is not read now either.
 pub fn prepare() -> Prepared {
     let memory = State::of(nix::sys::prctl::set_dumpable(false));
     let no_new_privs = State::of(nix::sys::prctl::set_no_new_privs());
