@@ -71,9 +71,9 @@ impl FloodGuard {
             return;
         }
         for (id, public) in listeners.iter().filter(|(_, public)| public.socket.is_filtered()) {
-            public.account(); // before its 32 bits come round
-            // A figure that cannot be read is read at the next look.
-            let Ok(figure) = public.kernel_figure() else { continue };
+            // Accounted for before its 32 bits come round. One that cannot be read is read at the
+            // next look.
+            let Some(figure) = public.account() else { continue };
             if !self.watches[id.0 as usize].over(figure) {
                 continue;
             }

@@ -111,19 +111,15 @@ impl Listener {
         Ok(())
     }
 
-    /// Datagrams that the kernel has dropped on the socket, whatever the cause. Starts again from 0
-    /// after 2³².
-    pub(super) fn kernel_figure(&self) -> io::Result<u32> {
-        socket::kernel_drops(&self.socket.socket)
-    }
-
-    /// Adds to the net's figures what the kernel dropped since the last call.
-    pub(super) fn account(&self) {
+    /// Adds to the net's figures what the kernel dropped since the last call, and returns all that it
+    /// has dropped on the socket, whatever the cause: a figure that starts again from 0 after 2³².
+    pub(super) fn account(&self) -> Option<u32> {
         let mut seen = self.socket.seen.lock().unwrap_or_else(PoisonError::into_inner);
         // A figure that cannot be read now is read the next time.
-        let Ok(now) = self.kernel_figure() else { return };
+        let now = socket::kernel_drops(&self.socket.socket).ok()?;
         let new = now.wrapping_sub(std::mem::replace(&mut *seen, now));
         self.drops.add(new, self.socket.is_filtered());
+        Some(now)
     }
 }
 
