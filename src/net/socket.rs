@@ -8,6 +8,7 @@ use std::io;
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
 use std::os::fd::AsRawFd;
 
+use nix::errno::Errno;
 use nix::sys::socket::{setsockopt, sockopt};
 use socket2::{Domain, Protocol, Socket, Type};
 
@@ -101,7 +102,28 @@ fn udp(ipv4: bool, receive_buffer: usize) -> io::Result<Socket> {
         socket.set_only_v6(true)?;
     }
     socket.set_recv_buffer_size(receive_buffer)?;
+    if ipv4 {
+        stay_whole(&socket)?;
+    }
     Ok(socket)
+}
+
+/// Has IPv4 datagrams leave with "don't fragment", whatever is claimed about the way: the longest
+/// makes a packet of 135 octets, which every link in use takes. The kernel then need not choose a
+/// number for fragments to find each other by (RFC 6864, 4.1).
+fn stay_whole(socket: &Socket) -> io::Result<()> {
+    let probe = libc::IP_PMTUDISC_PROBE;
+    // SAFETY: the kernel reads an integer, of the length given.
+    let result = unsafe {
+        libc::setsockopt(
+            socket.as_raw_fd(),
+            libc::IPPROTO_IP,
+            libc::IP_MTU_DISCOVER,
+            (&raw const probe).cast(),
+            size_of_val(&probe) as libc::socklen_t,
+        )
+    };
+    Ok(Errno::result(result).map(drop)?)
 }
 
 /// A socket on all addresses has to learn which one a request came to, and to answer from it.

@@ -58,6 +58,34 @@ fn figure_10_crosses_the_edge_unchanged() {
     });
 }
 
+/// RFC 6864, 4.1: no datagram is cut, whatever is claimed about the length that a way takes.
+#[test]
+fn the_longest_datagrams_stay_whole() {
+    let Some(network) = Network::build() else { return };
+    network.edge.ip("
+        route change 198.51.100.0/24 dev eth0 src 198.51.100.1 mtu 100
+        route change 172.17.17.0/24 dev eth1 src 172.17.17.254 mtu 100");
+    network.at_the_edge(|| {
+        for listen in [r#"["0.0.0.0"]"#, r#"["198.51.100.1"]"#] {
+            let relay = start(&network, listen);
+            let (client, node) = (network.client("198.51.100.7"), network.node(4));
+            let (outside, inside) = (network.internet.capture(), network.plant.capture());
+            let asked = datagram(&FIGURE_10, &[7; 63], PASSWORD);
+            for _ in 0..2 {
+                client.send(network.public("198.51.100.1", 4), &asked);
+                let from_relay = node.expect(&asked);
+                node.send(from_relay, &asked);
+                client.expect(&asked);
+            }
+            for packets in [outside.end(), inside.end()] {
+                assert_eq!(packets.iter().map(Packet::octets).collect::<Vec<_>>(), [&asked[..]; 4]);
+            }
+            relay.expect_drops(&[]);
+            relay.finish();
+        }
+    });
+}
+
 /// N-1, N-5: `pnet-nat request` on the Internet, `pnet-nat run` at the edge, `pnet-nat node` in the
 /// plant.
 #[test]
