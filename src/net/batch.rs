@@ -1,4 +1,5 @@
-//! Datagrams in and out in batches, through recvmmsg and sendmmsg.
+//! Datagrams in and out in batches, through recvmmsg and sendmmsg; one that is alone goes through
+//! recvfrom and sendto, which follow no header and save a tenth of a microsecond each.
 //!
 //! The system calls are made directly: the C library would make each a cancellation point, which
 //! costs as much as all of the relay's own work on a datagram.
@@ -14,6 +15,7 @@ use std::io;
 use std::mem;
 use std::net::{IpAddr, SocketAddr};
 use std::os::fd::{AsRawFd, BorrowedFd};
+use std::ptr;
 
 use nix::errno::Errno;
 
@@ -129,32 +131,63 @@ impl Batch {
     }
 
     /// Takes what waits on a socket, up to `most` datagrams, of [`AT_ONCE`], and returns how many.
-    pub(super) fn receive(&mut self, socket: BorrowedFd<'_>, most: usize) -> io::Result<usize> {
-        let headers = &mut self.incoming[self.used..][..most];
+    /// `tells`: the socket tells where each was sent to.
+    pub(super) fn receive(
+        &mut self,
+        socket: BorrowedFd<'_>,
+        most: usize,
+        tells: bool,
+    ) -> io::Result<usize> {
         loop {
-            // SAFETY: there are `most` headers, whose pointers lead to slots of boxed slices that
-            // `self` owns, and which say how long these are; `self` is borrowed exclusively during
-            // the call.
-            let received = unsafe {
-                libc::syscall(
-                    libc::SYS_recvmmsg,
-                    socket.as_raw_fd(),
-                    headers.as_mut_ptr(),
-                    most,
-                    libc::MSG_DONTWAIT,
-                    std::ptr::null_mut::<libc::timespec>(),
-                )
+            let received = if most == 1 && !tells {
+                self.receive_one(socket)
+            } else {
+                self.receive_many(socket, most)
             };
-            if let Ok(received) = usize::try_from(received) {
-                return Ok(received);
-            }
-            let error = io::Error::last_os_error();
-            match error.kind() {
-                io::ErrorKind::WouldBlock => return Ok(0),
-                io::ErrorKind::Interrupted => {}
-                _ => return Err(error),
+            match received {
+                Err(Errno::EINTR) => {}
+                Err(Errno::EAGAIN) => return Ok(0),
+                received => return Ok(received?),
             }
         }
+    }
+
+    fn receive_many(&mut self, socket: BorrowedFd<'_>, most: usize) -> nix::Result<usize> {
+        let headers = &mut self.incoming[self.used..][..most];
+        // SAFETY: there are `most` headers, whose pointers lead to slots of boxed slices that `self`
+        // owns, and which say how long these are; `self` is borrowed exclusively during the call.
+        let received = unsafe {
+            libc::syscall(
+                libc::SYS_recvmmsg,
+                socket.as_raw_fd(),
+                headers.as_mut_ptr(),
+                most,
+                libc::MSG_DONTWAIT,
+                ptr::null_mut::<libc::timespec>(),
+            )
+        };
+        Errno::result(received).map(|received| received as usize)
+    }
+
+    /// The same for one datagram.
+    fn receive_one(&mut self, socket: BorrowedFd<'_>) -> nix::Result<usize> {
+        let (slot, message) = (self.used, &mut self.incoming[self.used]);
+        // SAFETY: octets and name are a slot's, whose lengths are given; `self`, which owns them, is
+        // borrowed exclusively during the call.
+        let len = unsafe {
+            libc::syscall(
+                libc::SYS_recvfrom,
+                socket.as_raw_fd(),
+                self.octets[slot].0.as_mut_ptr(),
+                SLOT,
+                libc::MSG_DONTWAIT,
+                self.names[slot].as_mut_ptr(),
+                ptr::from_mut(&mut message.msg_hdr.msg_namelen),
+            )
+        };
+        message.msg_len = Errno::result(len)? as libc::c_uint;
+        message.msg_hdr.msg_controllen = 0;
+        Ok(1)
     }
 
     /// The datagram at `index` among those of the last [`receive`](Self::receive); none when its
@@ -228,6 +261,12 @@ impl Batch {
         mut run: &[Outgoing],
         outcome: &mut impl FnMut(Tag, io::Result<()>),
     ) {
+        if let [alone] = run
+            && alone.control_len == 0
+        {
+            let sent = self.send_one(socket, alone);
+            return outcome(alone.tag, sent.map_err(io::Error::from));
+        }
         let messages = self.prepare(run);
         let mut next = 0;
         while next < messages {
@@ -249,6 +288,29 @@ impl Batch {
             run = rest;
             for datagram in done {
                 outcome(datagram.tag, sent.map(drop).map_err(io::Error::from));
+            }
+        }
+    }
+
+    /// Sends a datagram that is alone, and about which there is no more to say than where it goes.
+    fn send_one(&mut self, socket: BorrowedFd<'_>, alone: &Outgoing) -> nix::Result<()> {
+        loop {
+            // SAFETY: octets and name are those of a slot of boxed slices that `self` owns; the
+            // datagram fits its slot since it was received into it, and so does its receiver's name.
+            let sent = unsafe {
+                libc::syscall(
+                    libc::SYS_sendto,
+                    socket.as_raw_fd(),
+                    self.octets[alone.slot].0.as_ptr(),
+                    alone.tag.octets,
+                    libc::MSG_DONTWAIT,
+                    self.names[alone.slot].as_mut_ptr(),
+                    alone.name_len,
+                )
+            };
+            match Errno::result(sent) {
+                Err(Errno::EINTR) => {}
+                sent => return sent.map(drop),
             }
         }
     }
@@ -408,6 +470,35 @@ mod tests {
                 expect(&one, &lengths, from);
                 expect(&one, &lengths, from);
                 expect(&other, &lengths, from);
+            }
+        }
+    }
+
+    /// However many are asked for, and whether or not the socket tells where they were sent to.
+    #[test]
+    fn what_is_received_is_told_alike() {
+        for (bound, address, tells) in [
+            ("127.0.0.5", "127.0.0.5", false),
+            ("0.0.0.0", "127.0.0.6", true),
+            ("::1", "::1", false),
+            ("::", "::1", true),
+        ] {
+            let bound: IpAddr = bound.parse().unwrap();
+            let socket = socket::public((bound, 0).into(), 1, 1 << 16).unwrap().remove(0);
+            let port = socket.local_addr().unwrap().as_socket().unwrap().port();
+            let sender = receiver(address);
+            let mut batch = Batch::new();
+            for most in [1, 2, 1, AT_ONCE] {
+                assert_eq!(batch.receive(socket.as_fd(), most, tells).unwrap(), 0);
+                for octets in [&[9; 38][..], &[]] {
+                    sender.send_to(octets, (address, port)).unwrap();
+                    assert_eq!(batch.receive(socket.as_fd(), most, tells).unwrap(), 1);
+                    let incoming = batch.incoming(0).unwrap();
+                    assert_eq!(incoming.octets, octets);
+                    assert_eq!(incoming.from, sender.local_addr().unwrap());
+                    assert_eq!(incoming.to, tells.then(|| address.parse().unwrap()));
+                    batch.keep(1);
+                }
             }
         }
     }

@@ -197,7 +197,11 @@ impl Worker {
         // Its socket may be closed, or not have its place yet.
         let Some(listener) = self.listeners.get(id) else { return 0 };
         let most = self.helpings.most(Place::Public(id));
-        let received = self.batch.receive(listener.socket.socket.as_fd(), most);
+        let received = self.batch.receive(
+            listener.socket.socket.as_fd(),
+            most,
+            listener.own_address().is_none(),
+        );
         let received = received.unwrap_or_else(|error| {
             self.complaints.note(&error, "cannot receive on a public socket");
             0
@@ -231,7 +235,7 @@ impl Worker {
     fn take_responses(&mut self, id: UpstreamId, now: Instant) -> usize {
         let Some(socket) = self.upstream.get(id) else { return 0 };
         let most = self.helpings.most(Place::Upstream(id));
-        let received = self.batch.receive(socket, most).unwrap_or_else(|error| {
+        let received = self.batch.receive(socket, most, false).unwrap_or_else(|error| {
             self.complaints.note(&error, "cannot receive from the servers");
             0
         });
