@@ -25,6 +25,8 @@ mod steer;
 mod strays;
 mod tick;
 mod upstream;
+#[allow(unsafe_code)]
+mod wait;
 mod worker;
 
 pub use bind::StartError;

@@ -32,6 +32,7 @@ use super::prefilter;
 use super::public::{Listener, Listeners, NetDrops};
 use super::tick::Ticker;
 use super::upstream::UpstreamSockets;
+use super::wait::wait;
 
 /// How long a stopping worker waits for one more answer before it looks whether any is due.
 const DRAIN_TICK: Duration = Duration::from_millis(20);
@@ -147,7 +148,7 @@ impl Worker {
     pub(super) fn run(mut self) {
         let mut events = [EpollEvent::empty(); EVENTS];
         loop {
-            let ready = match self.epoll.wait(&mut events, self.time_out()) {
+            let ready = match wait(&self.epoll, &mut events, self.time_out()) {
                 Ok(ready) => ready,
                 Err(nix::errno::Errno::EINTR) => 0,
                 Err(error) => {
@@ -290,6 +291,7 @@ impl Worker {
     }
 
     /// What has to be looked at about once a second.
+    #[cold]
     fn tick(&mut self, now: Instant) {
         self.ticker.read();
         self.core.expire(now, &mut self.upstream);
@@ -297,6 +299,7 @@ impl Worker {
         self.floods.look(&self.listeners);
     }
 
+    #[cold]
     fn obey(&mut self, now: Instant) {
         // Only now is the flag down: what is asked from here on wakes us again.
         let _ = self.wake.read();
