@@ -138,54 +138,55 @@ impl Batch {
         most: usize,
         tells: bool,
     ) -> io::Result<usize> {
-        loop {
-            let received = if most == 1 && !tells {
-                self.receive_one(socket)
-            } else {
-                self.receive_many(socket, most)
-            };
-            match received {
-                Err(Errno::EINTR) => {}
-                Err(Errno::EAGAIN) => return Ok(0),
-                received => return Ok(received?),
-            }
+        let received = if most == 1 && !tells {
+            self.receive_one(socket)
+        } else {
+            self.receive_many(socket, most)
+        };
+        match received {
+            Err(Errno::EAGAIN) => Ok(0),
+            received => Ok(received?),
         }
     }
 
     fn receive_many(&mut self, socket: BorrowedFd<'_>, most: usize) -> nix::Result<usize> {
         let headers = &mut self.incoming[self.used..][..most];
-        // SAFETY: there are `most` headers, whose pointers lead to slots of boxed slices that `self`
-        // owns, and which say how long these are; `self` is borrowed exclusively during the call.
-        let received = unsafe {
-            libc::syscall(
-                libc::SYS_recvmmsg,
-                socket.as_raw_fd(),
-                headers.as_mut_ptr(),
-                most,
-                libc::MSG_DONTWAIT,
-                ptr::null_mut::<libc::timespec>(),
-            )
-        };
-        Errno::result(received).map(|received| received as usize)
+        uninterrupted(|| {
+            // SAFETY: there are `most` headers, whose pointers lead to slots of boxed slices that
+            // `self` owns, and which say how long these are; `self` is borrowed exclusively during
+            // the call.
+            unsafe {
+                libc::syscall(
+                    libc::SYS_recvmmsg,
+                    socket.as_raw_fd(),
+                    headers.as_mut_ptr(),
+                    most,
+                    libc::MSG_DONTWAIT,
+                    ptr::null_mut::<libc::timespec>(),
+                )
+            }
+        })
     }
 
     /// The same for one datagram.
     fn receive_one(&mut self, socket: BorrowedFd<'_>) -> nix::Result<usize> {
         let (slot, message) = (self.used, &mut self.incoming[self.used]);
-        // SAFETY: octets and name are a slot's, whose lengths are given; `self`, which owns them, is
-        // borrowed exclusively during the call.
-        let len = unsafe {
-            libc::syscall(
-                libc::SYS_recvfrom,
-                socket.as_raw_fd(),
-                self.octets[slot].0.as_mut_ptr(),
-                SLOT,
-                libc::MSG_DONTWAIT,
-                self.names[slot].as_mut_ptr(),
-                ptr::from_mut(&mut message.msg_hdr.msg_namelen),
-            )
-        };
-        message.msg_len = Errno::result(len)? as libc::c_uint;
+        let len = uninterrupted(|| {
+            // SAFETY: octets and name are a slot's, whose lengths are given; `self`, which owns
+            // them, is borrowed exclusively during the call.
+            unsafe {
+                libc::syscall(
+                    libc::SYS_recvfrom,
+                    socket.as_raw_fd(),
+                    self.octets[slot].0.as_mut_ptr(),
+                    SLOT,
+                    libc::MSG_DONTWAIT,
+                    self.names[slot].as_mut_ptr(),
+                    ptr::from_mut(&mut message.msg_hdr.msg_namelen),
+                )
+            }
+        })?;
+        message.msg_len = len as libc::c_uint;
         message.msg_hdr.msg_controllen = 0;
         Ok(1)
     }
@@ -294,10 +295,10 @@ impl Batch {
 
     /// Sends a datagram that is alone, and about which there is no more to say than where it goes.
     fn send_one(&mut self, socket: BorrowedFd<'_>, alone: &Outgoing) -> nix::Result<()> {
-        loop {
+        let sent = uninterrupted(|| {
             // SAFETY: octets and name are those of a slot of boxed slices that `self` owns; the
             // datagram fits its slot since it was received into it, and so does its receiver's name.
-            let sent = unsafe {
+            unsafe {
                 libc::syscall(
                     libc::SYS_sendto,
                     socket.as_raw_fd(),
@@ -307,12 +308,9 @@ impl Batch {
                     self.names[alone.slot].as_mut_ptr(),
                     alone.name_len,
                 )
-            };
-            match Errno::result(sent) {
-                Err(Errno::EINTR) => {}
-                sent => return sent.map(drop),
             }
-        }
+        });
+        sent.map(drop)
     }
 
     /// Sets up the messages that carry the datagrams, and returns how many there are.
@@ -381,12 +379,12 @@ fn peer(address: SocketAddr) -> u64 {
 
 /// Sends as many messages as the kernel takes; the error is the first one's.
 fn send(socket: BorrowedFd<'_>, messages: &mut [libc::mmsghdr]) -> nix::Result<usize> {
-    loop {
+    uninterrupted(|| {
         // SAFETY: `messages` is an exclusive slice of headers that `prepare` has just pointed at
         // slots of boxed slices of the batch, which its caller borrows exclusively. A part's length
         // is the datagram's, which fits its slot since it was received into it; the parts of a
         // message stand one behind the other.
-        let sent = unsafe {
+        unsafe {
             libc::syscall(
                 libc::SYS_sendmmsg,
                 socket.as_raw_fd(),
@@ -394,10 +392,17 @@ fn send(socket: BorrowedFd<'_>, messages: &mut [libc::mmsghdr]) -> nix::Result<u
                 messages.len(),
                 libc::MSG_DONTWAIT,
             )
-        };
-        match Errno::result(sent) {
+        }
+    })
+}
+
+/// The outcome of a system call, made again for as long as signals interrupt it.
+#[inline]
+fn uninterrupted(mut call: impl FnMut() -> libc::c_long) -> nix::Result<usize> {
+    loop {
+        match Errno::result(call()) {
             Err(Errno::EINTR) => {}
-            sent => return sent.map(|sent| sent as usize),
+            outcome => return outcome.map(|figure| figure as usize),
         }
     }
 }
