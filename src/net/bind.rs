@@ -12,7 +12,8 @@ use crate::config::{Config, Prefilter};
 use crate::relay::{ListenerId, MappingId};
 
 use super::descriptors::TooFewDescriptors;
-use super::public::{Listener, Listeners, NetDrops, PublicSocket};
+use super::filtered::{FilteredSocket, NetDrops};
+use super::public::{Listener, Listeners};
 use super::socket;
 
 /// Why a router cannot have the sockets that a configuration names.
@@ -87,7 +88,7 @@ pub(super) fn open(
         let sockets = socket::public(address, workers, config.runtime.receive_buffer);
         let sockets = sockets.map_err(|error| StartError::listen(address, error))?;
         for (next, socket) in next.iter_mut().zip(sockets) {
-            let listener = listener(Arc::new(PublicSocket::new(socket)), address, mapping);
+            let listener = listener(Arc::new(FilteredSocket::new(socket)), address, mapping);
             if config.runtime.prefilter == Prefilter::Always {
                 let on = listener.filter(true, &config.table);
                 on.map_err(|error| StartError::Listen(address, error))?;
@@ -102,7 +103,7 @@ pub(super) fn open(
 pub(super) fn tell_short_buffers(config: &Config, listeners: &[Listeners]) {
     let asked = config.runtime.receive_buffer;
     let sockets = listeners.iter().flat_map(Listeners::iter);
-    let granted = sockets.filter_map(|(_, l)| socket::receive_buffer(&l.socket.socket).ok()).min();
+    let granted = sockets.filter_map(|(_, l)| socket::receive_buffer(l.socket.socket()).ok()).min();
     if let Some(granted) = granted.filter(|&granted| granted < asked) {
         tracing::warn!(
             asked_octets = asked,

@@ -9,7 +9,8 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use crate::config::Config;
 use crate::relay::{Counters, NetId};
 
-use super::public::{KernelDrops, Listeners, NetDrops};
+use super::filtered::{KernelDrops, NetDrops};
+use super::public::Listeners;
 
 /// A configuration, and what is counted under it.
 #[derive(Debug)]

@@ -11,6 +11,7 @@ mod bpf;
 mod busy;
 mod complaints;
 mod descriptors;
+mod filtered;
 mod flood;
 mod helping;
 mod in_force;
@@ -31,7 +32,7 @@ mod worker;
 
 pub use bind::StartError;
 pub use descriptors::TooFewDescriptors;
+pub use filtered::KernelDrops;
 pub use in_force::InForce;
-pub use public::KernelDrops;
 pub use reload::{LastReload, ReloadError};
 pub use router::{Bound, Router};

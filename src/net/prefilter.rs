@@ -4,17 +4,13 @@
 //! It looks at lengths, header and password, never at who sent a datagram, and never refuses what
 //! the relay would accept: what it cannot decide it lets through. It needs no privilege.
 
-use std::io;
-
+use crate::relay::{Credential, DropReason, Net, NetId, Table};
+use crate::wire::{self, Header, Password};
 use libc::{
     BPF_ABS, BPF_ADD, BPF_ALU, BPF_AND, BPF_B, BPF_IMM, BPF_IND, BPF_JA, BPF_JEQ, BPF_JGE, BPF_JGT,
     BPF_JMP, BPF_JSET, BPF_K, BPF_LD, BPF_LDX, BPF_LEN, BPF_MEM, BPF_MISC, BPF_ST, BPF_SUB,
     BPF_TAX, BPF_W, BPF_X,
 };
-use socket2::Socket;
-
-use crate::relay::{Credential, DropReason, Net, NetId, Table};
-use crate::wire::{self, Header, Password};
 
 use super::bpf::{Program, To};
 
@@ -34,16 +30,6 @@ const PASSWORD: u32 = Password::LEN as u32;
 const SOURCE: u32 = 0x80;
 /// Bits of the data-field-format that count data octets.
 const DATA_SIZE: u32 = 0x3f;
-
-/// Has the kernel refuse on this socket what its net would refuse.
-pub(super) fn attach(socket: &Socket, table: &Table, net: NetId) -> io::Result<()> {
-    program(table.header, table.net(net)).attach(socket)
-}
-
-/// Lets everything through again.
-pub(super) fn detach(socket: &Socket) -> io::Result<()> {
-    socket.detach_filter()
-}
 
 /// Whether two nets of two tables have the same program.
 pub(super) fn is_same(one: (&Table, NetId), other: (&Table, NetId)) -> bool {
@@ -82,7 +68,8 @@ pub(super) fn spares(reason: DropReason) -> bool {
     }
 }
 
-fn program(header: Header, net: &Net) -> Program {
+/// Refuses on a public socket what its net would refuse.
+pub(super) fn program(header: Header, net: &Net) -> Program {
     let shortest =
         if net.allow_without_password { wire::MIN_DATAGRAM } else { wire::MIN_SECURE_DATAGRAM };
     let mut program = Program::new();
@@ -146,6 +133,7 @@ mod tests {
     use std::time::{Duration, Instant};
 
     use proptest::prelude::*;
+    use socket2::SockRef;
 
     use super::*;
     use crate::relay::{
@@ -185,9 +173,8 @@ mod tests {
             let outside = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0)).unwrap();
             outside.connect(inside.local_addr().unwrap()).unwrap();
             inside.set_nonblocking(true).unwrap();
-            let inside = Socket::from(inside);
-            program(Header::default(), net).attach(&inside).unwrap();
-            Self { inside: inside.into(), outside }
+            program(Header::default(), net).attach(&SockRef::from(&inside)).unwrap();
+            Self { inside, outside }
         }
 
         fn lets_through(&self, octets: &[u8]) -> bool {

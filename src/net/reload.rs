@@ -16,8 +16,9 @@ use crate::relay::{Net, Rules};
 
 use super::bind::{self, StartError};
 use super::descriptors;
+use super::filtered::NetDrops;
 use super::in_force::InForce;
-use super::public::{Listeners, NetDrops};
+use super::public::Listeners;
 use super::router::{Router, addresses, lock};
 use super::worker::{self, Command, Next};
 
@@ -148,7 +149,7 @@ fn all_or_one(old: &Config, new: &Config) -> bool {
 fn resize_buffers(config: &Config, listeners: &[Listeners]) {
     for (_, listener) in listeners.iter().flat_map(Listeners::iter) {
         // What the kernel did not grant is told below.
-        let _ = listener.socket.socket.set_recv_buffer_size(config.runtime.receive_buffer);
+        let _ = listener.socket.socket().set_recv_buffer_size(config.runtime.receive_buffer);
     }
     bind::tell_short_buffers(config, listeners);
 }

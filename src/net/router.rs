@@ -20,8 +20,9 @@ use crate::relay::{Core, Counters, FlowRecord, Rules};
 use super::audit::Audit;
 use super::bind::{self, StartError};
 use super::descriptors::{self, Plan};
+use super::filtered::NetDrops;
 use super::in_force::InForce;
-use super::public::{Listeners, NetDrops};
+use super::public::Listeners;
 use super::reload::LastReload;
 use super::worker::{self, Command, Parts, Worker};
 

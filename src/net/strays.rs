@@ -8,10 +8,8 @@ use std::collections::BTreeMap;
 use std::io;
 use std::net::{IpAddr, Ipv4Addr};
 
-use libc::{BPF_ABS, BPF_ALU, BPF_AND, BPF_H, BPF_JEQ, BPF_K, BPF_LD, BPF_W};
-use socket2::Socket;
-
 use crate::relay::{NetKind, Table};
+use libc::{BPF_ABS, BPF_ALU, BPF_AND, BPF_H, BPF_JEQ, BPF_K, BPF_LD, BPF_W};
 
 use super::bpf::{MOST_STEPS, Program, To};
 
@@ -24,14 +22,9 @@ const SOURCE: u32 = libc::SKF_NET_OFF as u32 + 12;
 const SECTION: u32 = 0xffff_ff00;
 const SERVER: u32 = 0xffff_ffff;
 
-/// Has the kernel refuse on an IPv4 socket what comes from no server of the table.
-pub(super) fn attach(socket: &Socket, table: &Table) -> io::Result<()> {
-    let too_many = || io::Error::other("too many plant sections for a program");
-    program(table).ok_or_else(too_many)?.attach(socket)
-}
-
-/// None where a program cannot hold all.
-fn program(table: &Table) -> Option<Program> {
+/// Refuses on an IPv4 socket what comes from no server of the table. An error where a program cannot
+/// hold all.
+pub(super) fn program(table: &Table) -> io::Result<Program> {
     let mut networks: BTreeMap<(u16, u32), Vec<u32>> = BTreeMap::new();
     for mapping in table.mappings() {
         let IpAddr::V4(address) = mapping.server.ip() else { continue };
@@ -47,7 +40,7 @@ fn program(table: &Table) -> Option<Program> {
     }
     let steps: usize = networks.values().map(|of_port| of_port.len() + 4).sum();
     if steps > MOST_STEPS {
-        return None;
+        return Err(io::Error::other("too many plant sections for a program"));
     }
     let mut program = Program::new();
     for ((port, mask), networks) in networks {
@@ -60,13 +53,15 @@ fn program(table: &Table) -> Option<Program> {
             program.compare(BPF_JEQ, network, To::Accept, To::Next);
         }
     }
-    Some(program)
+    Ok(program)
 }
 
 #[cfg(test)]
 mod tests {
     use std::net::{SocketAddr, UdpSocket};
     use std::time::Duration;
+
+    use socket2::SockRef;
 
     use super::*;
     use crate::relay::{Mapping, Net, NetId};
@@ -108,9 +103,8 @@ mod tests {
         let socket = peer("127.0.0.1");
         socket.set_nonblocking(true).unwrap();
         let to = socket.local_addr().unwrap();
-        let socket = Socket::from(socket);
-        attach(&socket, &Table::new(Header::default(), nets, mappings)).unwrap();
-        let socket: UdpSocket = socket.into();
+        let table = Table::new(Header::default(), nets, mappings);
+        program(&table).unwrap().attach(&SockRef::from(&socket)).unwrap();
         let gets_through = |from: &UdpSocket| {
             from.send_to(b"answer", to).unwrap();
             // On loopback a datagram has arrived, or not, when its send returns.
@@ -134,7 +128,7 @@ mod tests {
             let mappings = (0..sections).map(|n| mapping(0, server(n))).collect();
             Table::new(Header::default(), vec![net(NetKind::UdpRange { start_port: 1 })], mappings)
         };
-        assert!(program(&table(251)).is_some());
-        assert!(program(&table(252)).is_none());
+        assert!(program(&table(251)).is_ok());
+        assert!(program(&table(252)).is_err());
     }
 }

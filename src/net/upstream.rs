@@ -4,22 +4,20 @@
 //! Which flow uses which socket is the core's affair; here they are opened, watched and closed.
 
 use std::io;
-use std::mem;
 use std::os::fd::{AsFd, BorrowedFd};
 use std::sync::Arc;
 use std::time::Instant;
 
 use nix::sys::epoll::Epoll;
-use socket2::Socket;
 
 use crate::config::{Prefilter, Runtime};
 use crate::relay::{CloseReason, FlowRecord, MappingId, Shell, Table, Throttled, UpstreamId};
 
 use super::audit::Audit;
 use super::complaints::Complaints;
+use super::filtered::{FilteredSocket, NetDrops};
 use super::flood::FloodWatch;
 use super::place::Place;
-use super::public::NetDrops;
 use super::{socket, strays};
 
 /// The upstream sockets, and with them the core's [`Shell`].
@@ -42,13 +40,10 @@ pub(super) struct UpstreamSockets {
 
 #[derive(Debug)]
 struct Upstream {
-    socket: Socket,
+    /// Filtered: the kernel refuses strays.
+    socket: FilteredSocket,
     ipv4: bool,
-    /// What of the kernel's figure of drops is accounted for.
-    seen: u32,
     strays: FloodWatch,
-    /// The kernel refuses strays.
-    filtered: bool,
 }
 
 impl UpstreamSockets {
@@ -83,16 +78,18 @@ impl UpstreamSockets {
         let receive_buffer = runtime.receive_buffer;
         if receive_buffer != self.receive_buffer {
             for upstream in self.sockets.iter().flatten() {
-                if let Err(error) = upstream.socket.set_recv_buffer_size(receive_buffer) {
+                if let Err(error) = upstream.socket.socket().set_recv_buffer_size(receive_buffer) {
                     self.complaints.note(&error, "cannot change a receive buffer");
                 }
             }
         }
         self.filters = runtime.prefilter != Prefilter::Off;
-        for upstream in self.sockets.iter_mut().flatten().filter(|upstream| upstream.filtered) {
-            // It never refuses what a server of the new table sends.
-            let kept = self.filters && upstream.filter(true, &table, &self.drops).is_ok();
-            if !kept && let Err(error) = upstream.filter(false, &table, &self.drops) {
+        // It never refuses what a server of the new table sends.
+        let program = self.filters.then(|| strays::program(&table)).and_then(Result::ok);
+        let sockets = self.sockets.iter().flatten().map(|upstream| &upstream.socket);
+        for socket in sockets.filter(|socket| socket.is_filtered()) {
+            let kept = program.is_some() && socket.filter(program.as_ref(), &self.drops).is_ok();
+            if !kept && let Err(error) = socket.filter(None, &self.drops) {
                 self.complaints.note(&error, "cannot let strays through");
             }
         }
@@ -115,12 +112,13 @@ impl UpstreamSockets {
         let since_start = now.saturating_duration_since(self.started);
         if !self.filters
             || !upstream.ipv4 // single servers alone, and few
-            || upstream.filtered
+            || upstream.socket.is_filtered()
             || !upstream.strays.flooded(since_start, strays)
         {
             return;
         }
-        match upstream.filter(true, &self.table, &self.drops) {
+        let refuse = |program| upstream.socket.filter(Some(&program), &self.drops);
+        match strays::program(&self.table).and_then(refuse) {
             Err(error) => self.complaints.note(&error, "cannot refuse strays"),
             Ok(()) if self.complaints.due(now, "flood") => {
                 tracing::warn!("flood of what no server sent: refused by the kernel");
@@ -133,10 +131,11 @@ impl UpstreamSockets {
     /// flood is over. To be called about once a second.
     pub(super) fn account(&mut self) {
         for upstream in self.sockets.iter_mut().flatten() {
-            upstream.account(&self.drops);
-            if upstream.filtered
-                && upstream.strays.over(upstream.seen)
-                && let Err(error) = upstream.filter(false, &self.table, &self.drops)
+            let Upstream { socket, strays, .. } = upstream;
+            if let Some(figure) = socket.account(&self.drops)
+                && socket.is_filtered()
+                && strays.over(figure)
+                && let Err(error) = socket.filter(None, &self.drops)
             {
                 self.complaints.note(&error, "cannot let strays through");
             }
@@ -151,34 +150,12 @@ impl UpstreamSockets {
             self.sockets.resize_with(index + 1, || None);
         }
         self.sockets[index] = Some(Upstream {
-            socket,
+            socket: FilteredSocket::new(socket),
             ipv4,
-            seen: 0,
             strays: FloodWatch::default(),
-            filtered: false,
         });
         self.open += 1;
         Ok(port)
-    }
-}
-
-impl Upstream {
-    fn account(&mut self, drops: &NetDrops) {
-        // A figure that cannot be read now is read the next time.
-        let Ok(now) = socket::kernel_drops(&self.socket) else { return };
-        drops.add(now.wrapping_sub(mem::replace(&mut self.seen, now)), self.filtered);
-    }
-
-    /// Has the kernel refuse strays, by the servers of `table`, or let everything through.
-    fn filter(&mut self, on: bool, table: &Table, drops: &NetDrops) -> io::Result<()> {
-        self.account(drops); // what was dropped so far belongs to the way it was so far
-        if on {
-            strays::attach(&self.socket, table)?;
-        } else {
-            self.socket.detach_filter()?;
-        }
-        self.filtered = on;
-        Ok(())
     }
 }
 
@@ -198,8 +175,8 @@ impl Shell for UpstreamSockets {
 
     fn close_upstream(&mut self, id: UpstreamId) {
         // Closing takes it out of epoll.
-        if let Some(mut upstream) = self.sockets[id.0 as usize].take() {
-            upstream.account(&self.drops);
+        if let Some(upstream) = self.sockets[id.0 as usize].take() {
+            upstream.socket.account(&self.drops);
             self.open -= 1;
         }
     }

@@ -25,11 +25,12 @@ use super::batch::{Batch, Tag};
 use super::bind::StartError;
 use super::busy::BusyPoll;
 use super::complaints::Complaints;
+use super::filtered::NetDrops;
 use super::flood::FloodGuard;
 use super::helping::Helpings;
 use super::place::Place;
 use super::prefilter;
-use super::public::{Listener, Listeners, NetDrops};
+use super::public::{Listener, Listeners};
 use super::tick::Ticker;
 use super::upstream::UpstreamSockets;
 use super::wait::wait;
@@ -107,7 +108,7 @@ pub(super) fn watch(
 ) -> Result<(), StartError> {
     for (id, listener) in listeners.iter().filter(|&(id, _)| !listeners.keeps(id, before)) {
         epoll
-            .add(&listener.socket.socket, Place::Public(id).arrivals())
+            .add(&listener.socket, Place::Public(id).arrivals())
             .map_err(|error| StartError::Watch(error.into()))?;
     }
     Ok(())
@@ -198,11 +199,8 @@ impl Worker {
         // Its socket may be closed, or not have its place yet.
         let Some(listener) = self.listeners.get(id) else { return 0 };
         let most = self.helpings.most(Place::Public(id));
-        let received = self.batch.receive(
-            listener.socket.socket.as_fd(),
-            most,
-            listener.own_address().is_none(),
-        );
+        let received =
+            self.batch.receive(listener.socket.as_fd(), most, listener.own_address().is_none());
         let received = received.unwrap_or_else(|error| {
             self.complaints.note(&error, "cannot receive on a public socket");
             0
@@ -270,7 +268,7 @@ impl Worker {
         let (listeners, upstream) = (&self.listeners, &self.upstream);
         self.batch.flush(
             |key| match Place::from_key(key) {
-                Place::Public(id) => Some(listeners.get(id)?.socket.socket.as_fd()),
+                Place::Public(id) => Some(listeners.get(id)?.socket.as_fd()),
                 Place::Upstream(id) => upstream.get(id),
                 Place::Wake | Place::Tick => None,
             },
@@ -314,7 +312,7 @@ impl Worker {
                 Command::Drain(end) => {
                     self.drain_until = Some(end);
                     for (_, listener) in self.listeners.iter() {
-                        let _ = self.epoll.delete(&listener.socket.socket);
+                        let _ = self.epoll.delete(&listener.socket);
                     }
                 }
             }
