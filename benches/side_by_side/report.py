@@ -1,7 +1,9 @@
 """Tables of runs. Ratios are medians of the ratios within each round: the machine's own speed
 drifts between rounds by more than most systems differ."""
-from statistics import median
+from statistics import median, quantiles
 
+# What the others are compared with.
+YARDSTICKS = ("nginx", "ideal", "nft-nat")
 ODD = ("wrong_node", "wrong_port", "foreign", "stale", "malformed")
 
 
@@ -21,14 +23,13 @@ def tables(runs, scenarios):
         rows = {system: of(runs, system, name) for system in systems(runs)}
         rows = {system: runs for system, runs in rows.items() if runs}
         if rows:
-            out += [f"\n**{name}**: {scenarios[name]['about']}\n", *scenario(rows)]
+            out += [f"\n**{name}**: {scenarios[name]['about']}\n", *scenario(rows), "", *compared(rows)]
     return "\n".join(out + failures(runs) + odd(runs))
 
 
 def scenario(rows):
-    head = ["system", "round trips/s (least..most)", "/ nginx", "/ nft-nat", "lost %", "p50 us",
-            "p50 / nft-nat", "p99 us", "p99.9 us", "relay, cores", "relay, us each",
-            "machine, cores", "machine, us each"]
+    head = ["system", "round trips/s (least..most)", "lost %", "p50 us", "p99 us", "p99.9 us",
+            "relay, cores", "relay, us each", "machine, cores", "machine, us each"]
     yield from header(head)
     for system, runs in rows.items():
         rates = [run["rate"] for run in runs]
@@ -36,11 +37,20 @@ def scenario(rows):
             number(middle(runs, "cpu"), 3), number(middle(runs, "cpu_us"), 2)]
         yield row([
             system, f"{median(rates):,.0f} ({min(rates):,.0f}..{max(rates):,.0f})",
-            ratio(runs, rows.get("nginx"), "rate"), ratio(runs, rows.get("nft-nat"), "rate"),
             number(middle(runs, "loss_percent"), 3), number(middle(runs, "p50_us"), 1),
-            ratio(runs, rows.get("nft-nat"), "p50_us"), number(middle(runs, "p99_us"), 0),
-            number(middle(runs, "p999_us"), 0), *relay, number(middle(runs, "busy"), 3),
-            number(middle(runs, "busy_us"), 2)])
+            number(middle(runs, "p99_us"), 0), number(middle(runs, "p999_us"), 0), *relay,
+            number(middle(runs, "busy"), 3), number(middle(runs, "busy_us"), 2)])
+
+
+def compared(rows):
+    """Each system beside the yardsticks, as ratios, with the middle half of the rounds."""
+    head = ["system", "of", "round trips/s", "relay, us each", "p50"]
+    yield from header(head)
+    for system, runs in rows.items():
+        for other in YARDSTICKS:
+            if other in rows and other != system:
+                figures = (spread(ratios(runs, rows[other], key)) for key in ("rate", "cpu_us", "p50_us"))
+                yield row([system, other, *figures])
 
 
 def readme(runs):
@@ -99,11 +109,22 @@ def middle(runs, key):
     return median(values) if values else None
 
 
-def ratio(runs, base, key, unit=""):
+def ratios(runs, base, key):
+    """Of each round that both ended; none where it would say nothing."""
     base = {run["round"]: run[key] for run in base or []}
-    ratios = [run[key] / base[run["round"]] for run in runs
-              if run[key] is not None and base.get(run["round"])]
-    return number(median(ratios), 2, unit) if ratios else "-"
+    return [run[key] / base[run["round"]] for run in runs if run[key] and base.get(run["round"])]
+
+
+def ratio(runs, base, key, unit=""):
+    found = ratios(runs, base, key)
+    return number(median(found), 2, unit) if found else "-"
+
+
+def spread(found):
+    if len(found) < 2:
+        return "".join(number(ratio, 2) for ratio in found) or "-"
+    low, _, high = quantiles(found, n=4, method="inclusive")
+    return f"{median(found):.2f} ({low:.2f}..{high:.2f})"
 
 
 def number(value, digits, unit=""):
