@@ -4,13 +4,14 @@
 //! It looks at lengths, header and password, never at who sent a datagram, and never refuses what
 //! the relay would accept: what it cannot decide it lets through. It needs no privilege.
 
-use crate::relay::{Credential, DropReason, Net, NetId, Table};
-use crate::wire::{self, Header, Password};
 use libc::{
     BPF_ABS, BPF_ADD, BPF_ALU, BPF_AND, BPF_B, BPF_IMM, BPF_IND, BPF_JA, BPF_JEQ, BPF_JGE, BPF_JGT,
     BPF_JMP, BPF_JSET, BPF_K, BPF_LD, BPF_LDX, BPF_LEN, BPF_MEM, BPF_MISC, BPF_ST, BPF_SUB,
     BPF_TAX, BPF_W, BPF_X,
 };
+
+use crate::relay::{Credential, DropReason, Net, NetId, Table};
+use crate::wire::{self, Header, Password};
 
 use super::bpf::{Program, To};
 

@@ -8,8 +8,9 @@ use std::collections::BTreeMap;
 use std::io;
 use std::net::{IpAddr, Ipv4Addr};
 
-use crate::relay::{NetKind, Table};
 use libc::{BPF_ABS, BPF_ALU, BPF_AND, BPF_H, BPF_JEQ, BPF_K, BPF_LD, BPF_W};
+
+use crate::relay::{NetKind, Table};
 
 use super::bpf::{MOST_STEPS, Program, To};
 
