@@ -1,8 +1,8 @@
 #!/usr/bin/env python3
 """Measures how the relay's cost grows with public ports and with live flows. See README.md.
 
-Every point is under the same load: 64 clients at once send 16 requests each, wait for all the
-answers, and are followed by others. Only how many ports or flows there are differs.
+Every point is under the same load: 64 clients at once send 16 requests each to a node, wait for all
+the answers, and are followed by others. Only how many ports or flows there are differs.
 """
 import argparse
 import json

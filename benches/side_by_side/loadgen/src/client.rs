@@ -210,6 +210,7 @@ impl Load {
         for _ in schedule.produced..due {
             self.put(schedule.turn, 0, 0, net::now());
             self.send(schedule.turn, 1);
+            self.sockets[schedule.turn].next_flow();
             schedule.turn = (schedule.turn + 1) % self.sockets.len();
         }
         schedule.produced = schedule.produced.max(due);
@@ -241,10 +242,19 @@ impl Load {
             let (mut put, now) = (0, net::now());
             while let Some(slot) = self.sockets[index].free.pop() {
                 let number = self.put(index, put, slot, now);
-                self.sockets[index].slots[slot] = Some((number, now));
+                let socket = &mut self.sockets[index];
+                socket.slots[slot] = Some((number, now));
                 put += 1;
+                // To open the flows, a datagram to each.
+                if self.silent > 0 {
+                    socket.next_flow();
+                }
             }
             self.send(index, put);
+            // Later a window to each: the same bursts, however many flows a socket has.
+            if self.silent == 0 {
+                self.sockets[index].next_flow();
+            }
         }
     }
 
@@ -265,7 +275,6 @@ impl Load {
     fn put(&mut self, index: usize, place: usize, slot: usize, now: u64) -> u64 {
         let socket = &mut self.sockets[index];
         let flow = socket.first_flow + socket.next;
-        socket.next = (socket.next + 1) % socket.flows;
         socket.counter += 1;
         let number = Number { flow, slot, counter: socket.counter }.packed();
         let target = &self.flows[flow].target;
@@ -331,6 +340,12 @@ impl Load {
             self.tally.round_trip.saturating_record(now.saturating_sub(time));
         }
         closed
+    }
+}
+
+impl Socket {
+    fn next_flow(&mut self) {
+        self.next = (self.next + 1) % self.flows;
     }
 }
 
