@@ -3,6 +3,7 @@
 //!
 //! Which flow uses which socket is the core's affair; here they are opened, watched and closed.
 
+use std::cell::LazyCell;
 use std::io;
 use std::os::fd::{AsFd, BorrowedFd};
 use std::sync::Arc;
@@ -84,8 +85,9 @@ impl UpstreamSockets {
             }
         }
         self.filters = runtime.prefilter != Prefilter::Off;
-        // It never refuses what a server of the new table sends.
-        let program = self.filters.then(|| strays::program(&table)).and_then(Result::ok);
+        // It never refuses what a server of the new table sends. Made where there is a flood alone.
+        let program =
+            LazyCell::new(|| self.filters.then(|| strays::program(&table)).and_then(Result::ok));
         let sockets = self.sockets.iter().flatten().map(|upstream| &upstream.socket);
         for socket in sockets.filter(|socket| socket.is_filtered()) {
             let kept = program.is_some() && socket.filter(program.as_ref(), &self.drops).is_ok();
