@@ -4,6 +4,8 @@ from statistics import median, quantiles
 
 # What the others are compared with.
 YARDSTICKS = ("nginx", "ideal", "nft-nat")
+# What has no process whose time could be told.
+KERNEL = ("direct", "nft-nat")
 ODD = ("wrong_node", "wrong_port", "foreign", "stale", "malformed")
 
 
@@ -33,7 +35,7 @@ def scenario(rows):
     yield from header(head)
     for system, runs in rows.items():
         rates = [run["rate"] for run in runs]
-        relay = ["(kernel)"] * 2 if system in ("direct", "nft-nat") else [
+        relay = ["(kernel)"] * 2 if system in KERNEL else [
             number(middle(runs, "cpu"), 3), number(middle(runs, "cpu_us"), 2)]
         yield row([
             system, f"{median(rates):,.0f} ({min(rates):,.0f}..{max(rates):,.0f})",
@@ -49,8 +51,9 @@ def compared(rows):
     for system, runs in rows.items():
         for other in YARDSTICKS:
             if other in rows and other != system:
-                figures = (spread(ratios(runs, rows[other], key)) for key in ("rate", "cpu_us", "p50_us"))
-                yield row([system, other, *figures])
+                rate, cpu, p50 = (spread(ratios(runs, rows[other], key))
+                                  for key in ("rate", "cpu_us", "p50_us"))
+                yield row([system, other, rate, "(kernel)" if system in KERNEL else cpu, p50])
 
 
 def readme(runs):
@@ -63,8 +66,7 @@ def readme(runs):
         own = {name: of(runs, system, name)
                for name in ("throughput", "thin", "latency", "open", "calm", "flood")}
         base = lambda name, scenario: of(runs, name, scenario)
-        kernel = system in ("direct", "nft-nat")
-        cores = lambda name: "(kernel)" if kernel else number(middle(own[name], "cpu"), 2, " core")
+        cores = lambda name: "(kernel)" if system in KERNEL else number(middle(own[name], "cpu"), 2, " core")
         out.append(row([
             system,
             ratio(own["throughput"], base("nginx", "throughput"), "rate", " ×"),
@@ -112,7 +114,8 @@ def middle(runs, key):
 def ratios(runs, base, key):
     """Of each round that both ended; none where it would say nothing."""
     base = {run["round"]: run[key] for run in base or []}
-    return [run[key] / base[run["round"]] for run in runs if run[key] and base.get(run["round"])]
+    return [run[key] / base[run["round"]] for run in runs
+            if run[key] is not None and base.get(run["round"])]
 
 
 def ratio(runs, base, key, unit=""):
@@ -122,9 +125,9 @@ def ratio(runs, base, key, unit=""):
 
 def spread(found):
     if len(found) < 2:
-        return "".join(number(ratio, 2) for ratio in found) or "-"
-    low, _, high = quantiles(found, n=4, method="inclusive")
-    return f"{median(found):.2f} ({low:.2f}..{high:.2f})"
+        return number(found[0] if found else None, 2)
+    low, half, high = quantiles(found, n=4, method="inclusive")
+    return f"{half:.2f} ({low:.2f}..{high:.2f})"
 
 
 def number(value, digits, unit=""):

@@ -245,16 +245,13 @@ impl Load {
                 let socket = &mut self.sockets[index];
                 socket.slots[slot] = Some((number, now));
                 put += 1;
-                // To open the flows, a datagram to each.
-                if self.silent > 0 {
+                // To open the flows, a datagram to each; later a window to each: the same bursts,
+                // however many flows a socket has.
+                if self.silent > 0 || socket.free.is_empty() {
                     socket.next_flow();
                 }
             }
             self.send(index, put);
-            // Later a window to each: the same bursts, however many flows a socket has.
-            if self.silent == 0 {
-                self.sockets[index].next_flow();
-            }
         }
     }
 
