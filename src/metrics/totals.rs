@@ -87,7 +87,7 @@ impl ResponseTotals {
 /// What is counted for one server node, or for several together.
 #[derive(Clone, Debug, Default)]
 pub struct NodeTotals {
-    directions: [DirectionTotals; 2],
+    directions: [DirectionTotals; Direction::ALL.len()],
     /// Response times.
     pub response_times: ResponseTotals,
     /// When the last response was forwarded, from the router's start; none: never.

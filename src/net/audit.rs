@@ -4,16 +4,19 @@
 //! the log holds a limited number of lines of each; how many more there would have been is told at
 //! its end, so that nobody fills the disk and no count is lost.
 
+use std::array;
 use std::net::IpAddr;
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering::Relaxed};
 use std::time::Duration;
+
+use strum::VariantArray;
 
 use crate::relay::{CloseReason, FlowRecord, MappingId, Table, ThrottleScope, Throttled};
 
 /// What the workers write, and how much more they may. Shared by all of them.
 #[derive(Debug)]
 pub(crate) struct Audit {
-    of_event: [Allowance; Event::ALL.len()],
+    of_event: [Allowance; Event::VARIANTS.len()],
     left_out: AtomicU64,
 }
 
@@ -26,7 +29,7 @@ struct Allowance {
 
 /// The events that clients and strangers bring about. Those of addresses are apart from those of
 /// senders: an address is throttled after hundreds of its ports are, and has to be told of.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, VariantArray)]
 enum Event {
     FlowOpened,
     FlowClosed,
@@ -40,7 +43,7 @@ impl Audit {
     /// So many lines of each kind in the first window.
     pub(super) fn new(lines: u32) -> Self {
         let allowance = |_| Allowance { left: AtomicU32::new(lines), left_out: AtomicU64::new(0) };
-        Self { of_event: Event::ALL.map(allowance), left_out: AtomicU64::new(0) }
+        Self { of_event: array::from_fn(allowance), left_out: AtomicU64::new(0) }
     }
 
     /// Lines of all kinds that were left out since the start.
@@ -50,7 +53,7 @@ impl Audit {
 
     /// Ends the window: tells what was left out of it, and allows so many lines in the next one.
     pub(crate) fn end_window(&self, lines: u32, window: Duration) {
-        for event in Event::ALL {
+        for &event in Event::VARIANTS {
             let allowance = &self.of_event[event as usize];
             allowance.left.store(lines, Relaxed);
             let count = allowance.left_out.swap(0, Relaxed);
@@ -131,15 +134,6 @@ impl Audit {
 }
 
 impl Event {
-    const ALL: [Self; 6] = [
-        Self::FlowOpened,
-        Self::FlowClosed,
-        Self::SenderThrottlingBegun,
-        Self::SenderThrottlingEnded,
-        Self::AddressThrottlingBegun,
-        Self::AddressThrottlingEnded,
-    ];
-
     const fn name(self) -> &'static str {
         match self {
             Self::FlowOpened => "flow opened",

@@ -121,7 +121,7 @@ impl ResponseTimes {
 /// What is counted for one server node.
 #[derive(Debug, Default)]
 pub struct NodeCounters {
-    directions: [DirectionCounters; 2],
+    directions: [DirectionCounters; Direction::ALL.len()],
     /// Response times.
     pub response_times: ResponseTimes,
     /// When the last response was forwarded, as nanoseconds since the router's start; 0: never.

@@ -1,8 +1,10 @@
 //! Why a datagram was dropped and why a flow ended: one enum each, behind every label, log text
 //! and table that names a reason.
 
+use strum::VariantArray;
+
 /// The way a datagram travels.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, VariantArray)]
 pub enum Direction {
     /// From a client to a server node.
     Request,
@@ -12,7 +14,7 @@ pub enum Direction {
 
 impl Direction {
     /// Both directions, in the order of their counters.
-    pub const ALL: [Self; 2] = [Self::Request, Self::Response];
+    pub const ALL: [Self; Self::VARIANTS.len()] = *Self::VARIANTS.first_chunk().unwrap();
 
     /// The value of the metrics' label `direction`.
     pub const fn label(self) -> &'static str {
@@ -32,7 +34,7 @@ impl Direction {
 }
 
 /// Why a datagram was not passed on.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, VariantArray)]
 pub enum DropReason {
     /// Fewer octets than the smallest datagram that could be accepted.
     TooShort,
@@ -74,7 +76,7 @@ pub enum DropReason {
 
 impl DropReason {
     /// How many reasons there are.
-    pub const COUNT: usize = 18;
+    pub const COUNT: usize = Self::VARIANTS.len();
 
     /// The reasons of requests, in the order of the checks.
     pub const REQUEST: [Self; 16] = [
@@ -215,7 +217,7 @@ impl DropReason {
 }
 
 /// Why a flow ended.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, VariantArray)]
 pub enum CloseReason {
     /// Nothing passed in either direction for the net's idle timeout (RFC 4787 REQ-5, REQ-6).
     Idle,
@@ -231,13 +233,7 @@ pub enum CloseReason {
 
 impl CloseReason {
     /// Every reason, in the order of their counters.
-    pub const ALL: [Self; 5] = [
-        Self::Idle,
-        Self::MappingRemoved,
-        Self::SourceWithdrawn,
-        Self::PasswordWithdrawn,
-        Self::Shutdown,
-    ];
+    pub const ALL: [Self; Self::VARIANTS.len()] = *Self::VARIANTS.first_chunk().unwrap();
 
     /// The value of the metrics' label `reason`.
     pub const fn label(self) -> &'static str {
@@ -248,5 +244,32 @@ impl CloseReason {
             Self::PasswordWithdrawn => "password_withdrawn",
             Self::Shutdown => "shutdown",
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_reason_belongs_to_a_direction_once() {
+        for reason in DropReason::VARIANTS {
+            let has_it = |direction: Direction| direction.drop_reasons().contains(reason);
+            assert!(Direction::ALL.into_iter().any(has_it), "{reason:?}");
+        }
+        for direction in Direction::ALL {
+            let reasons = direction.drop_reasons();
+            let distinct: std::collections::HashSet<_> = reasons.iter().collect();
+            assert_eq!(distinct.len(), reasons.len(), "{direction:?}");
+        }
+    }
+
+    #[test]
+    fn variants_are_listed_by_their_index() {
+        let indices = |count| (0..count).collect::<Vec<_>>();
+        let found: Vec<_> = DropReason::VARIANTS.iter().map(|&reason| reason as usize).collect();
+        assert_eq!(found, indices(DropReason::COUNT));
+        let found: Vec<_> = CloseReason::ALL.iter().map(|&reason| reason as usize).collect();
+        assert_eq!(found, indices(CloseReason::ALL.len()));
     }
 }

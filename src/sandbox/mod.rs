@@ -16,12 +16,13 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use nix::unistd::{Uid, geteuid};
+use strum::VariantArray;
 use tracing::field::display;
 
 pub use user::{User, UserError};
 
 /// A way in which the process is confined.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, VariantArray)]
 pub enum Layer {
     /// No core dump shows the memory, in which passwords are, nor does a debugger without
     /// privileges.
@@ -39,8 +40,7 @@ pub enum Layer {
 
 impl Layer {
     /// All layers, in the order of their effect.
-    pub const ALL: [Self; 5] =
-        [Self::Memory, Self::NoNewPrivs, Self::Capabilities, Self::Landlock, Self::Seccomp];
+    pub const ALL: [Self; Self::VARIANTS.len()] = *Self::VARIANTS.first_chunk().unwrap();
 
     /// Its name in logs, metrics and the API.
     pub fn label(self) -> &'static str {

@@ -35,7 +35,7 @@ pub(super) struct NodeFigures {
     /// What the client has seen of it.
     pub(super) polled: Polled,
     /// What the relay has done, by direction.
-    pub(super) relayed: [Relayed; 2],
+    pub(super) relayed: [Relayed; Direction::ALL.len()],
     /// Datagrams that have reached the node.
     pub(super) reached: u64,
 }
