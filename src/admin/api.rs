@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 use std::iter;
 use std::net::{IpAddr, SocketAddr};
 use std::sync::Arc;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use axum::Json;
 use axum::body::Body;
@@ -21,7 +21,9 @@ use serde::{Deserialize, Serialize, Serializer};
 use super::Shared;
 use crate::COMMIT;
 use crate::config::Config;
-use crate::metrics::totals::{self, DirectionTotals, NetTotals, NodeTotals, Presence};
+use crate::metrics::totals::{
+    self, BucketTotals, DirectionTotals, NetTotals, NodeTotals, Presence, ResponseTotals,
+};
 use crate::net::InForce;
 use crate::relay::{
     CloseReason, Credential, Direction, FlowRecord, Mapping, MappingId, Net, NetId, NetKind,
@@ -383,6 +385,29 @@ struct Traffic {
     response_time_p99_seconds: Option<f64>,
     /// How many answers fell into each bucket alone.
     response_time_buckets: [u64; RESPONSE_BUCKETS.len() + 1],
+    /// The same by finer buckets, for who adds up nets or takes differences; those without an answer
+    /// are left out.
+    response_times: Vec<ResponseTimes>,
+}
+
+/// Answers that took about the same time.
+#[derive(Serialize)]
+struct ResponseTimes {
+    /// Null: no bound.
+    up_to_seconds: Option<f64>,
+    answers: u64,
+    sum_seconds: f64,
+}
+
+impl ResponseTimes {
+    fn of(times: &ResponseTotals) -> Vec<Self> {
+        let bucket = |(upper, bucket): (Option<Duration>, BucketTotals)| Self {
+            up_to_seconds: upper.map(|upper| upper.as_secs_f64()),
+            answers: bucket.answers,
+            sum_seconds: bucket.sum.as_secs_f64(),
+        };
+        times.buckets().filter(|(_, bucket)| bucket.answers > 0).map(bucket).collect()
+    }
 }
 
 impl Traffic {
@@ -394,7 +419,8 @@ impl Traffic {
             response_time_mean_seconds: times.mean().map(|mean| mean.as_secs_f64()),
             response_time_median_seconds: times.quantile(0.5).map(|median| median.as_secs_f64()),
             response_time_p99_seconds: times.quantile(0.99).map(|p99| p99.as_secs_f64()),
-            response_time_buckets: times.buckets,
+            response_time_buckets: times.coarse(),
+            response_times: ResponseTimes::of(times),
         }
     }
 }
@@ -537,8 +563,6 @@ impl<'a> ConfigInForce<'a> {
 
 #[cfg(test)]
 mod tests {
-    use std::time::Duration;
-
     use serde_json::json;
 
     use super::*;

@@ -200,9 +200,10 @@ fn nets_show_what_was_counted() {
                 "received_datagrams": 0, "forwarded_datagrams": 0, "forwarded_bytes": 0,
                 "dropped_datagrams": {},
             },
-            "response_time_mean_seconds": 0.004, "response_time_median_seconds": 0.0035,
-            "response_time_p99_seconds": 0.00497,
+            "response_time_mean_seconds": 0.004, "response_time_median_seconds": 0.004,
+            "response_time_p99_seconds": 0.004,
             "response_time_buckets": [0, 0, 0, 0, 2, 0, 0, 0, 0, 0, 0],
+            "response_times": [{ "up_to_seconds": 0.004, "answers": 2, "sum_seconds": 0.008 }],
         })
     );
     let nothing = json!({
@@ -220,9 +221,12 @@ fn nets_show_what_was_counted() {
                 },
                 "response": nothing, "state": "answering",
                 "last_request_age_seconds": null, "last_response_age_seconds": null,
-                "response_time_mean_seconds": 0.004, "response_time_median_seconds": 0.0035,
-                "response_time_p99_seconds": 0.00497,
+                "response_time_mean_seconds": 0.004, "response_time_median_seconds": 0.004,
+                "response_time_p99_seconds": 0.004,
                 "response_time_buckets": [0, 0, 0, 0, 2, 0, 0, 0, 0, 0, 0],
+                "response_times": [
+                    { "up_to_seconds": 0.004, "answers": 2, "sum_seconds": 0.008 },
+                ],
             },
             {
                 "node": 33, "public_port": 40033, "server": "172.17.17.33:34379",
@@ -231,6 +235,7 @@ fn nets_show_what_was_counted() {
                 "response_time_mean_seconds": null, "response_time_median_seconds": null,
                 "response_time_p99_seconds": null,
                 "response_time_buckets": [0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0],
+                "response_times": [],
             },
         ])
     );

@@ -245,9 +245,9 @@ fn response_times(sums: &NetSums<'_>) -> Vec<Metric> {
             bucket
         };
         let mut histogram = Histogram::default();
-        histogram.set_bucket(RESPONSE_BUCKETS.iter().zip(&times.buckets).map(bucket).collect());
+        histogram.set_bucket(RESPONSE_BUCKETS.iter().zip(&times.coarse()).map(bucket).collect());
         histogram.set_sample_count(times.count());
-        histogram.set_sample_sum(times.sum.as_secs_f64());
+        histogram.set_sample_sum(times.sum().as_secs_f64());
         let mut metric = labelled(labels);
         metric.set_histogram(histogram);
         metric

@@ -8,8 +8,8 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use crate::relay::{
-    CloseReason, Counter, Counters, Direction, DirectionCounters, DropReason, MappingId, NetId,
-    NodeCounters, RESPONSE_BUCKETS, SourceSketch, Table,
+    CloseReason, Counter, Counters, Direction, DirectionCounters, DropReason, FINE_BOUNDS,
+    FINE_BUCKETS, MappingId, NetId, NodeCounters, RESPONSE_BUCKETS, SourceSketch, Table,
 };
 
 /// Datagrams of one direction.
@@ -46,42 +46,78 @@ impl DirectionTotals {
 }
 
 /// Response times: from a forwarded request to its forwarded response.
-#[derive(Clone, Debug, Default)]
-pub struct ResponseTotals {
-    /// How many fell into each bucket alone (not cumulated); the last is beyond all bounds.
-    pub buckets: [u64; RESPONSE_BUCKETS.len() + 1],
-    /// The sum of all times.
+#[derive(Clone, Debug)]
+pub struct ResponseTotals([BucketTotals; FINE_BUCKETS]);
+
+/// Answers that took about the same time.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct BucketTotals {
+    /// How many there were.
+    pub answers: u64,
+    /// The sum of their times.
     pub sum: Duration,
+}
+
+impl Default for ResponseTotals {
+    fn default() -> Self {
+        Self([BucketTotals::default(); FINE_BUCKETS])
+    }
 }
 
 impl ResponseTotals {
     /// How many times were measured.
     pub fn count(&self) -> u64 {
-        self.buckets.iter().sum()
+        self.0.iter().map(|bucket| bucket.answers).sum()
     }
 
-    /// The time that this share of the answers took at most, 0 to 1; none before the first. As
-    /// Prometheus has it: on a straight line between the bounds of a bucket, and the highest bound
-    /// for what is beyond all.
-    pub fn quantile(&self, share: f64) -> Option<Duration> {
-        let rank = share * self.count() as f64;
-        let (mut below, mut lower) = (0.0, 0.0);
-        for (&count, upper) in self.buckets.iter().zip(RESPONSE_BUCKETS) {
-            let count = count as f64;
-            if count > 0.0 && below + count >= rank {
-                let seconds = lower + (upper - lower) * (rank - below) / count;
-                return Some(Duration::from_secs_f64(seconds));
-            }
-            (below, lower) = (below + count, upper);
-        }
-        (self.count() > 0).then(|| Duration::from_secs_f64(lower))
+    /// The sum of all times.
+    pub fn sum(&self) -> Duration {
+        self.0.iter().map(|bucket| bucket.sum).sum()
     }
 
     /// The mean time; none before the first.
     pub fn mean(&self) -> Option<Duration> {
-        let seconds = self.sum.as_secs_f64() / self.count() as f64;
+        let seconds = self.sum().as_secs_f64() / self.count() as f64;
         Duration::try_from_secs_f64(seconds).ok()
     }
+
+    /// How many fell into each bucket of [`RESPONSE_BUCKETS`] alone (not cumulated); the last is
+    /// beyond all bounds.
+    pub fn coarse(&self) -> [u64; RESPONSE_BUCKETS.len() + 1] {
+        let mut coarse = [0; RESPONSE_BUCKETS.len() + 1];
+        for (upper, bucket) in self.buckets() {
+            let upper = upper.map_or(f64::INFINITY, |upper| upper.as_secs_f64());
+            coarse[RESPONSE_BUCKETS.partition_point(|&bound| bound < upper)] += bucket.answers;
+        }
+        coarse
+    }
+
+    /// Each bucket and its upper bound; the last has none.
+    pub fn buckets(&self) -> impl Iterator<Item = (Option<Duration>, BucketTotals)> {
+        let bounds = FINE_BOUNDS.map(|bound| Some(Duration::from_nanos(bound)));
+        bounds.into_iter().chain([None]).zip(self.0)
+    }
+
+    /// The time that this share of the answers took at most, 0 to 1; none before the first. It is the
+    /// mean of a bucket, so only two digits are true, and no others are given.
+    pub fn quantile(&self, share: f64) -> Option<Duration> {
+        let rank = share * self.count() as f64;
+        let mut below = 0;
+        let (upper, bucket) = self.buckets().find(|(_, bucket)| {
+            below += bucket.answers;
+            bucket.answers > 0 && below as f64 >= rank
+        })?;
+        let mean = bucket.sum.as_nanos() / u128::from(bucket.answers);
+        // A worker may be between an answer and its time just now.
+        let mean = u64::try_from(mean).unwrap_or(u64::MAX);
+        Some(two_digits(upper.map_or(mean, |upper| mean.min(upper.as_nanos() as u64))))
+    }
+}
+
+/// Nanoseconds, rounded to two significant digits.
+fn two_digits(nanos: u64) -> Duration {
+    let unit = 10_u64.pow(nanos.checked_ilog10().unwrap_or(0).saturating_sub(1));
+    Duration::from_nanos((nanos + unit / 2) / unit * unit)
 }
 
 /// What is counted for one server node, or for several together.
@@ -177,10 +213,10 @@ impl NodeTotals {
                 sum.add(node.direction(direction), direction.drop_reasons());
             }
             let times = &mut totals.response_times;
-            for (sum, bucket) in times.buckets.iter_mut().zip(node.response_times.buckets()) {
-                *sum += bucket;
+            for (total, (answers, nanos)) in times.0.iter_mut().zip(node.response_times.buckets()) {
+                total.answers += answers;
+                total.sum += Duration::from_nanos(nanos);
             }
-            times.sum += node.response_times.sum();
             totals.last_response = totals.last_response.max(moment(&node.last_response));
             totals.last_request = totals.last_request.max(moment(&node.last_request));
             let since = moment(&node.unanswered_since);
@@ -278,15 +314,40 @@ mod tests {
         }
     }
 
+    /// What is shown of nodes whose answers take so long, as median and 99 %.
+    fn quantiles(workers: &[&[(u64, u32)]]) -> [Option<Duration>; 2] {
+        let nodes = workers.iter().map(|times| {
+            let node = NodeCounters::default();
+            for &(micros, answers) in *times {
+                (0..answers)
+                    .for_each(|_| node.response_times.observe(Duration::from_micros(micros)));
+            }
+            node
+        });
+        let times = NodeTotals::sum(nodes.collect::<Vec<_>>().iter()).response_times;
+        [0.5, 0.99].map(|share| times.quantile(share))
+    }
+
     #[test]
-    fn quantiles_lie_between_the_bounds_of_their_bucket() {
-        let mut times = ResponseTotals::default();
-        assert_eq!(times.quantile(0.5), None);
-        times.buckets[4] = 10; // 2 ms to 5 ms
-        assert_eq!(times.quantile(0.5), Some(Duration::from_micros(3500)));
-        times.buckets[RESPONSE_BUCKETS.len()] = 1;
-        assert_eq!(times.quantile(0.99), Some(Duration::from_secs(5)));
-        times.buckets[0] = 89;
-        assert_eq!(times.quantile(0.5), Some(Duration::from_nanos(112_360)));
+    fn quantiles_are_true_to_their_two_digits() {
+        assert_eq!(quantiles(&[&[]]), [None; 2]);
+        for (micros, shown) in [
+            (3, 3),
+            (53, 53),
+            (5_240, 5_200),
+            (7_490, 7_500),
+            (9_960, 10_000),
+            (26_500, 27_000),
+            (199_000, 200_000),
+            (3_140_000, 3_100_000),
+            (62_000_000, 62_000_000),
+        ] {
+            let shown = [Some(Duration::from_micros(shown)); 2];
+            assert_eq!(quantiles(&[&[(micros, 7)]]), shown, "{micros} µs");
+            assert_eq!(quantiles(&[&[(micros, 3)], &[(micros, 90)]]), shown, "{micros} µs");
+        }
+        let [median, p99] = quantiles(&[&[(5_240, 60)], &[(26_500, 30), (820_000, 10)]]);
+        assert_eq!(median, Some(Duration::from_micros(5_200)));
+        assert_eq!(p99, Some(Duration::from_micros(820_000)));
     }
 }

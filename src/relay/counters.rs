@@ -6,9 +6,9 @@
 
 use std::collections::HashMap;
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
-use std::time::Duration;
 
 use super::reason::{CloseReason, Direction, DropReason};
+use super::response_times::ResponseTimes;
 use super::sketch::SourceSketch;
 use super::table::{Credential, Mapping, MappingId, NetId, Table};
 
@@ -43,23 +43,6 @@ impl Counter {
     }
 }
 
-/// Upper bounds of the response time histogram, in seconds; one more bucket takes the rest.
-pub const RESPONSE_BUCKETS: [f64; 10] =
-    [0.0002, 0.0005, 0.001, 0.002, 0.005, 0.01, 0.05, 0.2, 1.0, 5.0];
-
-const RESPONSE_BUCKET_NANOS: [u64; RESPONSE_BUCKETS.len()] = [
-    200_000,
-    500_000,
-    1_000_000,
-    2_000_000,
-    5_000_000,
-    10_000_000,
-    50_000_000,
-    200_000_000,
-    1_000_000_000,
-    5_000_000_000,
-];
-
 /// What is counted for one node and direction.
 #[derive(Debug, Default)]
 pub struct DirectionCounters {
@@ -91,33 +74,6 @@ impl DirectionCounters {
     }
 }
 
-/// Response times of one node.
-#[derive(Debug, Default)]
-pub struct ResponseTimes {
-    buckets: [Counter; RESPONSE_BUCKETS.len() + 1],
-    sum_nanos: Counter,
-}
-
-impl ResponseTimes {
-    /// Counts one response that took `elapsed`.
-    pub fn observe(&self, elapsed: Duration) {
-        let nanos = u64::try_from(elapsed.as_nanos()).unwrap_or(u64::MAX);
-        let bucket = RESPONSE_BUCKET_NANOS.partition_point(|&bound| bound < nanos);
-        self.buckets[bucket].add(1);
-        self.sum_nanos.add(nanos);
-    }
-
-    /// How many fell into each bucket alone (not cumulated); the last is beyond all bounds.
-    pub fn buckets(&self) -> [u64; RESPONSE_BUCKETS.len() + 1] {
-        std::array::from_fn(|bucket| self.buckets[bucket].get())
-    }
-
-    /// The sum of all times.
-    pub fn sum(&self) -> Duration {
-        Duration::from_nanos(self.sum_nanos.get())
-    }
-}
-
 /// What is counted for one server node.
 #[derive(Debug, Default)]
 pub struct NodeCounters {
@@ -137,8 +93,7 @@ impl NodeCounters {
         for direction in Direction::ALL {
             self.direction(direction).copy(other.direction(direction));
         }
-        copy_all(&self.response_times.buckets, &other.response_times.buckets);
-        self.response_times.sum_nanos.copy(&other.response_times.sum_nanos);
+        self.response_times.copy(&other.response_times);
         self.last_response.copy(&other.last_response);
         self.last_request.copy(&other.last_request);
         self.unanswered_since.copy(&other.unanswered_since);
@@ -278,28 +233,4 @@ impl Counters {
 
 fn copy_all(counters: &[Counter], others: &[Counter]) {
     counters.iter().zip(others).for_each(|(counter, other)| counter.copy(other));
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn bucket_bounds_are_the_same_in_both_units() {
-        for (seconds, nanos) in RESPONSE_BUCKETS.iter().zip(RESPONSE_BUCKET_NANOS) {
-            assert_eq!(Duration::from_secs_f64(*seconds), Duration::from_nanos(nanos));
-        }
-    }
-
-    #[test]
-    fn a_time_on_a_bound_belongs_to_the_bucket_below() {
-        let times = ResponseTimes::default();
-        times.observe(Duration::from_micros(200));
-        times.observe(Duration::from_nanos(200_001));
-        times.observe(Duration::from_secs(60));
-        let mut expected = [0; RESPONSE_BUCKETS.len() + 1];
-        (expected[0], expected[1], expected[RESPONSE_BUCKETS.len()]) = (1, 1, 1);
-        assert_eq!(times.buckets(), expected);
-        assert_eq!(times.sum(), Duration::from_nanos(60_000_400_001));
-    }
 }

@@ -12,6 +12,7 @@ mod ids;
 mod rate;
 mod reason;
 mod reload;
+mod response_times;
 mod rules;
 mod shell;
 #[cfg(test)]
@@ -26,14 +27,12 @@ mod upstream;
 
 pub use budget::Budget;
 pub use core::{Arrival, Core, ToClient, ToServer};
-pub use counters::{
-    Counter, Counters, DirectionCounters, NetCounters, NodeCounters, RESPONSE_BUCKETS,
-    ResponseTimes,
-};
+pub use counters::{Counter, Counters, DirectionCounters, NetCounters, NodeCounters};
 pub use flow::FlowRecord;
 pub use ids::{ListenerId, UpstreamId};
 pub use rate::RequestRate;
 pub use reason::{CloseReason, Direction, DropReason};
+pub use response_times::{FINE_BOUNDS, FINE_BUCKETS, RESPONSE_BUCKETS, ResponseTimes};
 pub use rules::Rules;
 pub use shell::Shell;
 pub use sketch::SourceSketch;

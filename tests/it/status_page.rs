@@ -133,13 +133,86 @@ fn a_rate_is_not_of_the_time_before_a_pause() {
     );
     assert_eq!(rates, json!([null, 10, null, 2]));
     let times = browser.run(
-        "const times = new Times(), bounds = [1, 2];
-        times.add([0, 0, 0], 0);
-        times.add([4, 0, 0], 2);
-        times.add([4, 1000, 0], 3600);
-        return times.quantile(0.5, bounds)",
+        "const times = new Times();
+        const answers = (first, second) => [
+            { up_to_seconds: 0.5, answers: first, sum_seconds: 0.45 * first },
+            { up_to_seconds: null, answers: second, sum_seconds: 12 * second },
+        ].filter(({ answers }) => answers);
+        times.add(answers(0, 0), 0);
+        times.add(answers(4, 0), 2);
+        times.add(answers(4, 1000), 3600);
+        return times.quantile(0.5)",
     );
-    assert_eq!(times, json!(0.5), "what was answered in the meantime is not of now");
+    let times = times.as_f64().unwrap();
+    assert!(
+        (times - 0.45).abs() < 1e-9,
+        "{times}: what was answered in the meantime is not of now"
+    );
+}
+
+/// A node whose answers take 5.24 ms, and another net's that take 26.5 ms: each as it is, and so of
+/// all together.
+#[test]
+fn response_times_have_no_more_digits_than_are_true() {
+    let Some(browser) = Browser::start() else { return };
+    let site = Site::claim();
+    let _relay = relay(&site);
+    browser.open(&format!("http://{}/", site.admin()));
+    browser.expect("#banner", "No client has had an answer yet.");
+    let shown = browser.run(
+        "const node = { up_to_seconds: 0.0056, answers: 400, sum_seconds: 400 * 0.00524 };
+        const other = { up_to_seconds: 0.028, answers: 500, sum_seconds: 500 * 0.0265 };
+        const shown = (...times) => {
+            const all = new Times();
+            all.add(times, 0);
+            return [0.5, 0.99].map((share) => duration(all.quantile(share)));
+        };
+        return [shown(node), shown(node, node, node), shown(node, other), shown()]",
+    );
+    let one = ["5.2 ms", "5.2 ms"];
+    assert_eq!(shown, json!([one, one, ["27 ms", "27 ms"], ["–", "–"]]));
+}
+
+/// From the banner to a node among many, however its net stands.
+#[test]
+fn the_banner_leads_to_the_node_itself() {
+    let Some(browser) = Browser::start() else { return };
+    let site = Site::claim();
+    let configuration = configuration(&site).replace("\"1-4\", 33", "\"1-125\"");
+    let _relay = Relay::start(&configuration, site.admin(), None);
+    browser.look(1280, 700, false, "light");
+    browser.open(&format!("http://{}/", site.admin()));
+    browser.expect("#banner", "No client has had an answer yet.");
+    let client = site.client();
+    for node in [80, 81] {
+        client.send(site.public(node), &request(node));
+    }
+    browser.expect("#banner", "2 nodes are silent:\n\nsection-1, node 80");
+    for (button, node, is_open) in [(1, 80, true), (2, 81, true), (2, 81, false), (1, 80, false)] {
+        browser.run(&format!(
+            "scrollTo(0, 0);
+            const net = document.querySelector('[data-net=section-1]');
+            if (!{is_open}) net.open = false;"
+        ));
+        if !is_open {
+            eventually("the net is folded up", || {
+                let rows = browser.run("return document.querySelectorAll('[data-node]').length");
+                (rows == 0).then_some(())
+            });
+        }
+        browser.run(&format!(
+            "document.querySelector('#banner button:nth-of-type({button})').click()"
+        ));
+        eventually(&format!("node {node} is in sight and has the focus"), || {
+            let there = browser.run(&format!(
+                "const row = document.querySelector('[data-node=\"{node}\"]');
+                const {{ top, bottom }} = row?.getBoundingClientRect() ?? {{ top: -1, bottom: -1 }};
+                return top >= 0 && bottom <= innerHeight && document.activeElement === row"
+            ));
+            (there == true).then_some(())
+        });
+    }
+    assert_eq!(browser.errors(), [""; 0]);
 }
 
 #[track_caller]

@@ -56,36 +56,43 @@ class Rate {
 /** Response times, those of late above all: a histogram that fades. */
 class Times {
   #last = null;
-  #weights = null;
+  #weights = new Map(); // by upper bound: answers, and the sum of their times
 
-  add(buckets, elapsed) {
-    const sum = buckets.reduce((a, b) => a + b, 0);
-    const restarted = this.#last?.some((count, i) => buckets[i] < count);
+  /** Adds what the API has of one node, of one net, or of several in a row. */
+  add(times, elapsed) {
+    const now = new Map();
+    for (const { up_to_seconds, answers, sum_seconds } of times) {
+      const bound = up_to_seconds ?? Infinity;
+      const [count, sum] = now.get(bound) ?? [0, 0];
+      now.set(bound, [count + answers, sum + sum_seconds]);
+    }
+    const restarted = [...(this.#last ?? [])].some(([bound, [count]]) => !(now.get(bound)?.[0] >= count));
     if (!this.#last || restarted) {
       // All since the start weighs as much as one answer, until there are others.
-      this.#weights = buckets.map((count) => (sum ? count / sum : 0));
+      const all = [...now.values()].reduce((all, [count]) => all + count, 0);
+      this.#weights = new Map([...now].map(([bound, [count, sum]]) => [bound, [count / all, sum / all]]));
     } else {
       const fade = Math.exp(-elapsed / TIMES_SECONDS);
-      const since = (i) => (elapsed > pause ? 0 : buckets[i] - this.#last[i]);
-      this.#weights = this.#weights.map((w, i) => w * fade + since(i));
+      for (const [bound, [count, sum]] of now) {
+        const [weight, time] = this.#weights.get(bound) ?? [0, 0];
+        const [counted, summed] = elapsed > pause ? [count, sum] : this.#last.get(bound) ?? [0, 0];
+        this.#weights.set(bound, [weight * fade + (count - counted), time * fade + (sum - summed)]);
+      }
     }
-    this.#last = buckets;
+    this.#last = now;
   }
 
-  /** Seconds, as the API has it: on a straight line within a bucket. Null without answers. */
-  quantile(share, bounds) {
-    const sum = this.#weights.reduce((a, b) => a + b, 0);
-    if (!(sum > 0)) return null;
+  /** Seconds, as the API has it: the mean of a bucket, of which two digits are true. Null without
+   * answers. */
+  quantile(share) {
+    const buckets = [...this.#weights].sort(([a], [b]) => a - b);
+    const all = buckets.reduce((all, [, [weight]]) => all + weight, 0);
     let below = 0;
-    for (const [i, bound] of bounds.entries()) {
-      const weight = this.#weights[i];
-      const lower = i ? bounds[i - 1] : 0;
-      if (weight > 0 && below + weight >= share * sum) {
-        return lower + ((bound - lower) * (share * sum - below)) / weight;
-      }
+    for (const [bound, [weight, time]] of buckets) {
       below += weight;
+      if (weight > 0 && below >= share * all) return Math.min(time / weight, bound);
     }
-    return bounds.at(-1);
+    return null;
   }
 }
 
@@ -93,12 +100,13 @@ class Times {
 
 const whole = new Intl.NumberFormat("en");
 const short = new Intl.NumberFormat("en", { maximumSignificantDigits: 3 });
+const rough = new Intl.NumberFormat("en", { maximumSignificantDigits: 2 });
 
 const rate = (value) => (value === null ? "–" : `${short.format(value)} /s`);
 
 function duration(seconds) {
   if (seconds === null) return "–";
-  return seconds < 1 ? `${short.format(seconds * 1000)} ms` : `${short.format(seconds)} s`;
+  return seconds < 1 ? `${rough.format(seconds * 1000)} ms` : `${rough.format(seconds)} s`;
 }
 
 function age(seconds) {
@@ -233,12 +241,12 @@ class Traffic {
   add(time, state) {
     this.requests = this.#requests.add(time, state.request.forwarded_datagrams);
     this.answers = this.#answers.add(time, state.response.forwarded_datagrams);
-    this.#times.add(state.response_time_buckets, time - (this.#before ?? time));
+    this.#times.add(state.response_times, time - (this.#before ?? time));
     this.#before = time;
   }
 
   quantile(share) {
-    return this.#times.quantile(share, bounds);
+    return this.#times.quantile(share);
   }
 }
 
@@ -250,6 +258,7 @@ class NodeRow {
   traffic = new Traffic();
 
   constructor(node) {
+    this.node = node.node;
     const place = make("small", {}, `${node.public_port} → ${node.server}`);
     const head = make("th", { scope: "row" }, `${node.node}`, place);
     this.mark = make("span", { "aria-hidden": "true" });
@@ -292,6 +301,7 @@ class NetView {
   rows = new Map();
   inSight = false;
   looking = false;
+  wanted = null; // the node to go to when the nodes are drawn
 
   constructor(net, open) {
     this.name = net.name;
@@ -317,6 +327,7 @@ class NetView {
     this.details.addEventListener("toggle", () => {
       if (this.details.open && this.inSight) return this.look();
       if (this.details.open) return;
+      this.wanted = null;
       this.rows.clear();
       this.body.replaceChildren();
     });
@@ -366,10 +377,21 @@ class NetView {
       row.show(time, state);
     }
     arrange(this.body, [...this.rows.values()].map(({ row }) => row));
+    this.goToWanted();
+  }
+
+  /** Goes to the node that was asked for; to the net when it has that node no more. */
+  goToWanted() {
+    if (this.wanted === null) return;
+    const found = [...this.rows.values()].find(({ node }) => node === this.wanted);
+    this.wanted = null;
+    const place = found?.row ?? this.summary;
+    if (found) place.setAttribute("tabindex", "-1");
+    place.scrollIntoView({ block: "center" });
+    place.focus({ preventScroll: true });
   }
 }
 
-let bounds = [];
 let reasons = null;
 const nets = new Map();
 const sight = new IntersectionObserver((entries) => {
@@ -413,10 +435,8 @@ function showTiles(time, status, states, dropped) {
   const direction = (name) => ({
     forwarded_datagrams: sum((net) => net[name].forwarded_datagrams),
   });
-  const response_time_buckets = states[0].response_time_buckets
-    .map((_, i) => sum((net) => net.response_time_buckets[i]));
   TIMES.add(time, { request: direction("request"), response: direction("response"),
-    response_time_buckets });
+    response_times: states.flatMap((net) => net.response_times) });
   TILES.requests.show(rate(TIMES.requests), `${rate(TIMES.answers)} answers`);
   TILES.requests.add(time, TIMES.requests);
   const [median, p99] = [TIMES.quantile(0.5), TIMES.quantile(0.99)];
@@ -514,7 +534,7 @@ function showBanner(status, states, lost) {
   const links = make("p");
   for (const [name, node] of silent.slice(0, SHOWN_SILENT)) {
     const link = make("button", { type: "button" }, `${name}, node ${node}`);
-    link.addEventListener("click", () => find(name));
+    link.addEventListener("click", () => find(name, node));
     links.append(link);
   }
   const rest = silent.length - SHOWN_SILENT;
@@ -529,13 +549,13 @@ function showBanner(status, states, lost) {
   banner.append(links);
 }
 
-/** Opens a net and goes there. */
-function find(name) {
+/** Opens a net and goes to one of its nodes, as soon as that is drawn. */
+function find(name, node) {
   const net = nets.get(name);
   if (!net) return;
+  net.wanted = node;
   net.details.open = true;
-  net.details.scrollIntoView();
-  net.summary.focus();
+  net.look();
 }
 
 // ── Round after round ───────────────────────────────────────────────────────────────────────────
@@ -549,7 +569,6 @@ async function poll() {
   const [status, { nets: states }] =
     await Promise.all([ask("api/v1/status"), ask("api/v1/nets?nodes=false")]);
   const time = performance.now() / 1000;
-  bounds = status.response_time_bounds_seconds;
   last = { status, states, at: new Date().toLocaleTimeString() };
   $("status").hidden = false;
   $("status").className = "";

@@ -257,12 +257,13 @@ fn rate(ago: Duration, now: u64, before: u64) -> String {
     format!("{:.1}", now.saturating_sub(before) as f64 / ago.as_secs_f64())
 }
 
+/// A time of two digits, which is what the relay gives.
 fn duration(seconds: Option<f64>) -> String {
-    match seconds {
-        None => "–".to_owned(),
-        Some(seconds) if seconds < 1.0 => format!("{:.2} ms", seconds * 1e3),
-        Some(seconds) => format!("{seconds:.2} s"),
-    }
+    let Some(seconds) = seconds else { return "–".to_owned() };
+    let (figure, unit) = if seconds < 1.0 { (seconds * 1e3, "ms") } else { (seconds, "s") };
+    let before_the_point = figure.max(1e-9).log10().floor();
+    let decimals = (1.0 - before_the_point).clamp(0.0, 3.0) as usize;
+    format!("{figure:.decimals$} {unit}")
 }
 
 /// Roughly how long: its largest unit.
@@ -271,5 +272,26 @@ fn age(seconds: f64) -> String {
     match unit.into_iter().find(|(_, length)| seconds >= 2.0 * length) {
         Some((name, length)) => format!("{:.0} {name}", (seconds / length).floor()),
         None => format!("{seconds:.0} s"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn times_have_the_two_digits_that_are_true() {
+        assert_eq!(duration(None), "–");
+        for (seconds, text) in [
+            (0.000_053, "0.053 ms"),
+            (0.0052, "5.2 ms"),
+            (0.027, "27 ms"),
+            (0.82, "820 ms"),
+            (1.0, "1.0 s"),
+            (3.1, "3.1 s"),
+            (62.0, "62 s"),
+        ] {
+            assert_eq!(duration(Some(seconds)), text);
+        }
     }
 }
