@@ -16,6 +16,7 @@ pub mod relay;
 pub mod reload;
 pub mod sandbox;
 pub mod service;
+pub mod thread;
 pub mod wire;
 
 /// The commit that this is built from; empty where that is not known.

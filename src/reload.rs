@@ -1,48 +1,116 @@
 //! The configuration file, read again for a router at work: brought into force or refused, and told
 //! of either way. One reload at a time.
+//!
+//! Files are read by a thread that does nothing else, for they may be on a disk that is stuck. Then
+//! the reload is given up after a while and never comes into force: later ones are refused until the
+//! thread is back.
 
 use std::error::Error;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering::SeqCst};
+use std::sync::mpsc;
+use std::time::Duration;
 
-use tokio::sync::Mutex;
-use tokio::task::spawn_blocking;
+use tokio::sync::{Mutex, oneshot};
+use tokio::time::timeout;
 
-use crate::config::{self, Changes};
+use crate::config::{self, Changes, Config, Faults, Warning};
 use crate::net::{ReloadError, Router};
 use crate::service;
+use crate::thread::{self, ThreadError};
+
+/// How long reading the files of a configuration may take.
+const READING_TIME: Duration = Duration::from_secs(30);
 
 /// A router and the file that its configuration is in.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Reloader {
-    path: PathBuf,
     router: Arc<Router>,
-    turn: Arc<Mutex<()>>,
+    /// Held by the one reload at a time.
+    thread: Arc<Mutex<mpsc::Sender<Order>>>,
+    /// The thread reads for a reload that was given up.
+    is_stuck: Arc<AtomicBool>,
+}
+
+/// What the thread does.
+enum Order {
+    Read(oneshot::Sender<Result<(Config, Vec<Warning>), Faults>>),
+    /// Bring it into force.
+    Apply(Box<Config>, oneshot::Sender<Result<Changes, ReloadError>>),
 }
 
 impl Reloader {
     /// Reads the file at `path` for `router`, whenever it is told to.
-    pub fn new(path: PathBuf, router: Arc<Router>) -> Self {
-        Self { path, router, turn: Arc::default() }
+    pub fn start(path: PathBuf, router: Arc<Router>) -> Result<Self, ThreadError> {
+        let (thread, orders) = mpsc::channel();
+        let is_stuck = Arc::default();
+        let (of, stuck) = (Arc::clone(&router), Arc::clone(&is_stuck));
+        thread::start("reload", move || obey(&orders, &path, &of, &stuck))?;
+        Ok(Self { router, thread: Arc::new(Mutex::new(thread)), is_stuck })
     }
 
     /// Reads the file and the password files that it names, and brings them into force; or tells
     /// every fault, and the configuration in force stays. Goes on to its end even when nobody waits.
     pub async fn reload(&self) -> Result<Changes, String> {
-        let turn = Arc::clone(&self.turn).lock_owned().await;
-        let (path, router) = (self.path.clone(), Arc::clone(&self.router));
-        let reloaded = spawn_blocking(move || {
-            let _turn = turn;
+        let reloader = self.clone();
+        let reload = tokio::spawn(async move {
+            let thread = reloader.thread.lock().await;
             service::reloading();
-            let outcome = router.reload(config::load(&path).map(|(config, warnings)| {
-                warnings.iter().for_each(|warning| tracing::warn!("{warning}"));
-                config
-            }));
+            let outcome = match reloader.read(&thread).await {
+                Ok(config) => apply(&thread, config).await,
+                Err(error) => reloader.router.reload(Err(error)),
+            };
             log(&outcome);
-            service::ready(&router);
+            service::ready(&reloader.router);
             outcome.map_err(|error| chain(&error))
         });
-        reloaded.await.unwrap_or_else(|error| Err(error.to_string()))
+        reload.await.unwrap_or_else(|error| Err(error.to_string()))
+    }
+
+    async fn read(&self, thread: &mpsc::Sender<Order>) -> Result<Config, ReloadError> {
+        if self.is_stuck.load(SeqCst) {
+            return Err(ReloadError::StillReading);
+        }
+        let (reply, mut read) = oneshot::channel();
+        // A thread that is gone drops the reply.
+        let _ = thread.send(Order::Read(reply));
+        let read = match timeout(READING_TIME, &mut read).await {
+            Ok(read) => read.map_err(|_| ReloadError::Stopping)?,
+            Err(_) => {
+                self.is_stuck.store(true, SeqCst);
+                read.close();
+                // From here on the thread learns that nobody waits; it may have been just in time.
+                let in_time = read.try_recv().map_err(|_| ReloadError::TooSlow(READING_TIME))?;
+                self.is_stuck.store(false, SeqCst);
+                in_time
+            }
+        };
+        let (config, warnings) = read?;
+        warnings.iter().for_each(|warning| tracing::warn!("{warning}"));
+        Ok(config)
+    }
+}
+
+async fn apply(thread: &mpsc::Sender<Order>, config: Config) -> Result<Changes, ReloadError> {
+    let (reply, applied) = oneshot::channel();
+    let _ = thread.send(Order::Apply(Box::new(config), reply));
+    applied.await.unwrap_or(Err(ReloadError::Stopping))
+}
+
+/// What the thread does, until the process ends.
+fn obey(orders: &mpsc::Receiver<Order>, path: &Path, router: &Router, is_stuck: &AtomicBool) {
+    for order in orders {
+        match order {
+            Order::Read(reply) => {
+                if reply.send(config::load(path)).is_err() {
+                    is_stuck.store(false, SeqCst);
+                    tracing::warn!("the configuration is read at last, and not used; reload again");
+                }
+            }
+            // What came of it is in force, whether or not somebody waits.
+            Order::Apply(config, reply) => _ = reply.send(router.reload(Ok(*config))),
+        }
     }
 }
 

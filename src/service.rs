@@ -6,7 +6,6 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use sd_notify::NotifyState;
-use tokio::task::spawn_blocking;
 use tokio::time;
 
 use crate::net::Router;
@@ -37,10 +36,10 @@ pub async fn watchdog(router: Arc<Router>) -> ! {
     next.set_missed_tick_behavior(time::MissedTickBehavior::Delay);
     loop {
         next.tick().await;
-        let router = Arc::clone(&router);
-        match spawn_blocking(move || router.is_alive(within)).await {
-            Ok(true) => notify(&[NotifyState::Watchdog]),
-            _ => tracing::error!("a worker does not answer; the watchdog is not pinged"),
+        if router.is_alive(within).await {
+            notify(&[NotifyState::Watchdog]);
+        } else {
+            tracing::error!("a worker does not answer; the watchdog is not pinged");
         }
     }
 }

@@ -118,14 +118,15 @@ pub(super) async fn flows(
         return (StatusCode::BAD_REQUEST, message).into_response();
     }
     let turn = shared.flows_turn.lock_owned().await;
-    let router = shared.router.clone();
-    let asked = tokio::task::spawn_blocking(move || (router.flows(limit), turn)).await;
-    let Ok(((in_force, flows), turn)) = asked else {
-        return (StatusCode::INTERNAL_SERVER_ERROR, "the workers gave no answer\n").into_response();
+    let Some(flows) = shared.router.flows(limit).await else {
+        let message = "a worker gives no answer\n";
+        return (StatusCode::SERVICE_UNAVAILABLE, message).into_response();
     };
-    let flows = flows.into_iter().map(move |flow| {
+    let flows = flows.into_iter().flat_map(|(table, flows)| {
+        flows.into_iter().map(move |flow| serde_json::to_string(&Flow::of(&table, &flow)))
+    });
+    let flows = flows.inspect(move |_| {
         let _until_all_is_sent = &turn;
-        serde_json::to_string(&Flow::of(&in_force.config.table, &flow))
     });
     json_list("flows", flows)
 }

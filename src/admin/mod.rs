@@ -72,7 +72,7 @@ const ROUTES: [(&str, &str); 10] = [
 pub async fn serve(
     listener: TcpListener,
     router: Arc<Router>,
-    reloader: Option<Arc<Reloader>>,
+    reloader: Option<Reloader>,
     sandbox: Sandbox,
     shutdown: impl Future<Output = ()>,
 ) {
@@ -102,11 +102,7 @@ pub async fn serve(
 }
 
 /// The admin server's routes.
-pub fn routes(
-    router: Arc<Router>,
-    reloader: Option<Arc<Reloader>>,
-    sandbox: Sandbox,
-) -> axum::Router {
+pub fn routes(router: Arc<Router>, reloader: Option<Reloader>, sandbox: Sandbox) -> axum::Router {
     let metrics = Metrics::new(router.clone(), sandbox.clone());
     let shared = Shared { router, reloader, sandbox, metrics, flows_turn: Arc::default() };
     axum::Router::new()
@@ -132,7 +128,7 @@ pub fn routes(
 #[derive(Clone)]
 struct Shared {
     router: Arc<Router>,
-    reloader: Option<Arc<Reloader>>,
+    reloader: Option<Reloader>,
     sandbox: Sandbox,
     metrics: Metrics,
     /// Held by the one request for flows that is being answered: a list of flows is large, and

@@ -70,7 +70,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<ExitCode> {
     sandbox.announce();
     let _log = log::in_background();
     let router = Arc::new(router.start()?);
-    let reloader = Arc::new(Reloader::new(args.config.clone(), Arc::clone(&router)));
+    let reloader = Reloader::start(args.config.clone(), Arc::clone(&router))?;
     relay(runtime, hangup, router, admin, reloader, sandbox)
 }
 
@@ -115,17 +115,17 @@ fn relay(
     mut hangup: Signal,
     router: Arc<Router>,
     admin: Option<StdListener>,
-    reloader: Arc<Reloader>,
+    reloader: Reloader,
     sandbox: Sandbox,
 ) -> anyhow::Result<ExitCode> {
-    let outcome = runtime.block_on(async {
+    runtime.block_on(async {
         let mut signals = Signals::new()?;
         let mut noise = Noise::new(Arc::clone(&router));
         let stopped = Arc::new(Notify::new());
         let serving = match admin {
             Some(listener) => {
                 let listener = TcpListener::from_std(listener)?;
-                let (router, reloader) = (Arc::clone(&router), Arc::clone(&reloader));
+                let (router, reloader) = (Arc::clone(&router), reloader.clone());
                 let stopped = Arc::clone(&stopped);
                 Some(tokio::spawn(async move {
                     let reloader = Some(reloader);
@@ -151,10 +151,8 @@ fn relay(
             never = service::watchdog(Arc::clone(&router)) => never,
         }
         service::stopping();
-        let draining = Arc::clone(&router);
-        let drained = tokio::task::spawn_blocking(move || draining.shut_down());
         tokio::select! {
-            drained = drained => drained?,
+            () = router.shut_down() => {}
             name = signals.next() => {
                 tracing::warn!(signal = name, "stopping at once");
                 return Ok(ExitCode::FAILURE);
@@ -167,10 +165,7 @@ fn relay(
         }
         tracing::info!("stopped");
         Ok(ExitCode::SUCCESS)
-    });
-    // After a second signal the router still drains on a thread of the runtime: leave it there.
-    runtime.shutdown_background();
-    outcome
+    })
 }
 
 fn announce(router: &Router) {

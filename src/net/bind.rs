@@ -10,6 +10,7 @@ use std::sync::Arc;
 
 use crate::config::{Config, Prefilter};
 use crate::relay::{ListenerId, MappingId};
+use crate::thread::ThreadError;
 
 use super::descriptors::TooFewDescriptors;
 use super::filtered::{FilteredSocket, NetDrops};
@@ -49,6 +50,9 @@ pub enum StartError {
     /// The system does not tell of what arrives.
     #[error("cannot wait for datagrams; is sysctl fs.epoll.max_user_watches reached?")]
     Watch(#[source] io::Error),
+    /// The system has no thread left for a worker.
+    #[error(transparent)]
+    Thread(#[from] ThreadError),
     /// Another error of the system, not about one address.
     #[error("cannot start a worker")]
     Worker(#[from] io::Error),

@@ -9,7 +9,7 @@ use std::net::IpAddr;
 use std::num::NonZeroUsize;
 use std::sync::mpsc;
 use std::sync::{Arc, PoisonError};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use crate::config::{Changes, Config, Faults};
 use crate::relay::{Net, Rules};
@@ -34,6 +34,18 @@ pub enum ReloadError {
     /// Its sockets cannot be had.
     #[error(transparent)]
     Sockets(#[from] StartError),
+    /// Its files are not to be had.
+    #[error(
+        "reading the configuration takes longer than {} s; is a disk or a network share stuck? The \
+         configuration in force stays", .0.as_secs()
+    )]
+    TooSlow(Duration),
+    /// Nor are those of an earlier reload, which have to come first.
+    #[error(
+        "an earlier reload still reads its files; is a disk or a network share stuck? The \
+         configuration in force stays"
+    )]
+    StillReading,
     /// The workers are ending.
     #[error("the relay is stopping")]
     Stopping,
@@ -57,8 +69,8 @@ impl LastReload {
 impl Router {
     /// Brings a configuration into force that was just read, or says why not; then the one in force
     /// stays, whole. Blocks until every worker has gone over.
-    pub fn reload(&self, read: Result<Config, Faults>) -> Result<Changes, ReloadError> {
-        let outcome = read.map_err(ReloadError::from).and_then(|config| self.replace(config));
+    pub fn reload(&self, read: Result<Config, ReloadError>) -> Result<Changes, ReloadError> {
+        let outcome = read.and_then(|config| self.replace(config));
         let mut last = lock(&self.last_reload);
         match outcome {
             Ok(_) => *last = LastReload::succeeded(),
@@ -68,7 +80,7 @@ impl Router {
     }
 
     fn replace(&self, config: Config) -> Result<Changes, ReloadError> {
-        let _changing = lock(&self.changing);
+        let _changing = self.changing.blocking_lock();
         if !self.is_ready() {
             return Err(ReloadError::Stopping);
         }

@@ -4,18 +4,19 @@
 //! Every socket is bound before the first worker runs, so a router starts whole or not at all.
 
 use std::io;
-use std::iter;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{self, Sender, SyncSender};
+use std::sync::mpsc::{self, Sender};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock};
-use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
 use nix::sys::epoll::{Epoll, EpollCreateFlags};
 use nix::sys::eventfd::{EfdFlags, EventFd};
+use tokio::sync::oneshot;
+use tokio::time::timeout;
 
 use crate::config::Config;
-use crate::relay::{Core, Counters, FlowRecord, Rules};
+use crate::relay::{Core, Counters, FlowRecord, Rules, Table};
+use crate::thread;
 
 use super::audit::Audit;
 use super::bind::{self, StartError};
@@ -35,10 +36,11 @@ pub struct Router {
     pub(super) in_force: RwLock<Arc<InForce>>,
     pub(super) last_reload: Mutex<LastReload>,
     /// Held while the workers go over to another configuration, or are told to end.
-    pub(super) changing: Mutex<()>,
+    pub(super) changing: tokio::sync::Mutex<()>,
     audit: Arc<Audit>,
     pub(super) workers: Vec<Handle>,
-    threads: Mutex<Vec<JoinHandle<()>>>,
+    /// Each is dropped by its worker at its end.
+    ends: Mutex<Vec<oneshot::Receiver<()>>>,
     ready: AtomicBool,
     started: Instant,
 }
@@ -61,12 +63,16 @@ impl Bound {
     /// Starts the workers. They inherit what the calling thread may do.
     pub fn start(self) -> Result<Router, StartError> {
         let Self { mut router, workers } = self;
-        let mut threads = Vec::new();
+        let mut ends = Vec::new();
         for (index, worker) in workers.into_iter().enumerate() {
-            let thread = thread::Builder::new().name(format!("worker-{index}"));
-            threads.push(thread.spawn(move || worker.run())?);
+            let (ending, end) = oneshot::channel::<()>();
+            thread::start(format!("worker-{index}"), move || {
+                let _ending = ending;
+                worker.run();
+            })?;
+            ends.push(end);
         }
-        router.threads = Mutex::new(threads);
+        router.ends = Mutex::new(ends);
         router.ready = AtomicBool::new(true);
         Ok(router)
     }
@@ -112,10 +118,10 @@ impl Router {
         let router = Self {
             in_force: RwLock::new(Arc::new(in_force)),
             last_reload: Mutex::new(LastReload::succeeded()),
-            changing: Mutex::default(),
+            changing: tokio::sync::Mutex::default(),
             audit,
             workers: handles,
-            threads: Mutex::default(),
+            ends: Mutex::default(),
             ready: AtomicBool::new(false),
             started,
         };
@@ -132,27 +138,28 @@ impl Router {
         Arc::new(Self {
             in_force: RwLock::new(Arc::new(in_force)),
             last_reload: Mutex::new(LastReload::succeeded()),
-            changing: Mutex::default(),
+            changing: tokio::sync::Mutex::default(),
             audit,
             workers: Vec::new(),
-            threads: Mutex::default(),
+            ends: Mutex::default(),
             ready: AtomicBool::new(false),
             started: Instant::now(),
         })
     }
 
     /// Takes no more requests, waits for the answers that are due, at most for the configured drain
-    /// time, and ends the workers. Blocks until they have ended.
-    pub fn shut_down(&self) {
+    /// time, and ends the workers. Done once they have ended.
+    pub async fn shut_down(&self) {
         self.ready.store(false, Ordering::Release);
         {
-            let _unchanged = lock(&self.changing);
+            let _unchanged = self.changing.lock().await;
             let end = Instant::now() + self.in_force().config.runtime.drain;
             self.workers.iter().for_each(|worker| worker.ask(Command::Drain(end)));
         }
-        for thread in lock(&self.threads).drain(..) {
+        let ends = std::mem::take(&mut *lock(&self.ends));
+        for end in ends {
             // A worker that panicked has told so itself.
-            let _ = thread.join();
+            let _ = end.await;
         }
     }
 
@@ -182,29 +189,41 @@ impl Router {
         self.started
     }
 
-    /// Up to `limit` open flows, and the configuration that they belong to. Asks the workers, and
-    /// waits for them a second at most.
-    pub fn flows(&self, limit: usize) -> (Arc<InForce>, Vec<FlowRecord>) {
-        let _unchanged = lock(&self.changing);
-        let answers = self.ask(ANSWER_TIME, |reply| Command::Flows(limit, reply));
-        let mut flows: Vec<_> = answers.into_iter().flatten().collect();
-        flows.truncate(limit);
-        (self.in_force(), flows)
+    /// Up to `limit` open flows, by the table that they belong to. Asks the workers; none when one
+    /// of them does not answer within a second, or has ended.
+    pub async fn flows(&self, limit: usize) -> Option<Vec<(Arc<Table>, Vec<FlowRecord>)>> {
+        let mut flows = self.ask(ANSWER_TIME, |reply| Command::Flows(limit, reply)).await?;
+        let mut left = limit;
+        for (_, flows) in &mut flows {
+            flows.truncate(left);
+            left -= flows.len();
+        }
+        Some(flows)
     }
 
     /// Whether every worker answers within this time.
-    pub fn is_alive(&self, within: Duration) -> bool {
-        self.ask(within, Command::Ping).len() == self.workers.len()
+    pub async fn is_alive(&self, within: Duration) -> bool {
+        self.ask(within, Command::Ping).await.is_some()
     }
 
-    /// What the workers answer within this time.
-    fn ask<T>(&self, time: Duration, command: impl Fn(SyncSender<T>) -> Command) -> Vec<T> {
-        let (reply, answers) = mpsc::sync_channel(self.workers.len());
+    /// What the workers answer, if each of them does within this time.
+    async fn ask<T>(
+        &self,
+        time: Duration,
+        command: impl Fn(tokio::sync::mpsc::Sender<T>) -> Command,
+    ) -> Option<Vec<T>> {
+        // Room for all answers: no worker waits for somebody to take his.
+        let (reply, mut answers) = tokio::sync::mpsc::channel(self.workers.len().max(1));
         self.workers.iter().for_each(|worker| worker.ask(command(reply.clone())));
         drop(reply);
-        let end = Instant::now() + time;
-        let next = || answers.recv_timeout(end.saturating_duration_since(Instant::now())).ok();
-        iter::from_fn(next).collect()
+        let mut all = Vec::with_capacity(self.workers.len());
+        let gather = async {
+            while let Some(answer) = answers.recv().await {
+                all.push(answer);
+            }
+        };
+        let _ = timeout(time, gather).await;
+        (all.len() == self.workers.len()).then_some(all)
     }
 }
 
@@ -274,12 +293,14 @@ mod tests {
                     allow_without_password = true";
         let read = || config::parse(text, Path::new("pnet-nat.toml"));
         let router = Router::start(read().unwrap().0).unwrap();
-        assert!(router.is_alive(Duration::from_secs(20)));
-        let changes = router.reload(read().map(|(config, _)| config)).unwrap();
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_time().build().unwrap();
+        let is_alive = || runtime.block_on(router.is_alive(Duration::from_secs(20)));
+        assert!(is_alive());
+        let changes = router.reload(Ok(read().unwrap().0)).unwrap();
         assert_eq!(changes, config::Changes::default());
-        router.shut_down();
-        assert!(!router.is_alive(Duration::from_secs(20)), "they have ended");
-        let refused = router.reload(read().map(|(config, _)| config)).unwrap_err();
+        runtime.block_on(router.shut_down());
+        assert!(!is_alive(), "they have ended");
+        let refused = router.reload(Ok(read().unwrap().0)).unwrap_err();
         assert_eq!(refused.to_string(), "the relay is stopping");
     }
 }

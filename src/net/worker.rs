@@ -13,6 +13,7 @@ use std::time::{Duration, Instant};
 
 use nix::sys::epoll::{Epoll, EpollEvent, EpollTimeout};
 use nix::sys::eventfd::EventFd;
+use tokio::sync::mpsc::Sender;
 
 use crate::config::Runtime;
 use crate::relay::{
@@ -43,9 +44,9 @@ const EVENTS: usize = 256;
 /// What a worker is asked to do.
 pub(super) enum Command {
     /// Say that you are alive.
-    Ping(SyncSender<()>),
-    /// Send up to so many flows.
-    Flows(usize, SyncSender<Vec<FlowRecord>>),
+    Ping(Sender<()>),
+    /// Send up to so many flows, and the table that they belong to.
+    Flows(usize, Sender<(Arc<Table>, Vec<FlowRecord>)>),
     /// Go over to another configuration.
     Reload(Box<Next>, SyncSender<Reloaded>),
     /// Take no more requests, wait for answers until then at the latest, and end.
@@ -306,7 +307,8 @@ impl Worker {
             match command {
                 Command::Ping(reply) => _ = reply.try_send(()),
                 Command::Flows(limit, reply) => {
-                    _ = reply.try_send(self.core.flows(now).take(limit).collect());
+                    let flows = self.core.flows(now).take(limit).collect();
+                    _ = reply.try_send((Arc::clone(self.core.table()), flows));
                 }
                 Command::Reload(next, reply) => _ = reply.try_send(self.reload(*next, now)),
                 Command::Drain(end) => {

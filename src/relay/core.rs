@@ -20,7 +20,7 @@ use super::ids::{FlowId, ListenerId, UpstreamId};
 use super::reason::{CloseReason, Direction, DropReason};
 use super::rules::Rules;
 use super::shell::Shell;
-use super::table::MappingId;
+use super::table::{MappingId, Table};
 use super::throttle::Throttle;
 use super::upstream::{Owner, Upstreams};
 
@@ -190,6 +190,11 @@ impl Core {
     /// will expire.
     pub fn is_idle(&self) -> bool {
         self.flows.len() == 0 && self.upstreams.is_empty() && self.throttle.is_quiet()
+    }
+
+    /// The table in force.
+    pub fn table(&self) -> &Arc<Table> {
+        &self.rules.table
     }
 
     /// The open flows.

@@ -43,12 +43,11 @@ fn every_thread_is_confined_and_every_exchange_works() {
     let relay = site.relay(Settings { runtime: "workers = 2", ..Settings::default() });
     let (client, node) = (site.client(), site.node(4));
     exchange(&client, site.public(4), &node, 4);
-    // The threads that list flows are started when somebody asks.
     assert_eq!(relay.get("/api/v1/flows").unwrap().0, 200);
 
     let names: Vec<_> = of_each_thread(&relay.process, "Pid").into_iter().map(|t| t.0).collect();
     assert!(names.iter().filter(|name| name.starts_with("worker-")).count() == 2, "{names:?}");
-    assert!(names.len() >= 4, "main thread, log and workers at least: {names:?}");
+    assert_eq!(names.len(), 5, "main thread, log, reloads and workers: {names:?}");
     let sets = ["CapInh", "CapPrm", "CapEff", "CapAmb"].into_iter();
     // Who is not root cannot shrink this one, and gains nothing by it.
     for set in sets.chain(geteuid().is_root().then_some("CapBnd")) {

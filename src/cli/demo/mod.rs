@@ -88,8 +88,7 @@ async fn demo(args: Args) -> anyhow::Result<ExitCode> {
     tokio::try_join!(traffic.poll(&ended), traffic.intrude(&ended), showing)?;
 
     // The nodes go on answering while the relay comes to rest; then the figures are final.
-    let stopping = Arc::clone(&router);
-    tokio::task::spawn_blocking(move || stopping.shut_down()).await?;
+    router.shut_down().await;
     let figures = figures();
     let faults = figures.faults();
     display.close(&figures, &faults)?;

@@ -6,6 +6,7 @@ mod kernel;
 mod links;
 mod process;
 mod servers;
+mod threads;
 
 use std::net::{Ipv4Addr, SocketAddr};
 

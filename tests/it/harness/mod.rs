@@ -14,6 +14,7 @@ mod pcap;
 mod process;
 mod relay;
 mod site;
+mod somebody;
 mod terminal;
 mod yaml;
 
@@ -32,6 +33,7 @@ pub(crate) use pcap::{frame, header, pcap, udp};
 pub(crate) use process::{Process, pnet_nat, pnet_nat_within};
 pub(crate) use relay::{ANNOTATED, Place, Relay, Settings, folder};
 pub(crate) use site::{Peer, Site, close, exchange};
+pub(crate) use somebody::Somebody;
 pub(crate) use terminal::Terminal;
 pub(crate) use yaml::{TOOLS, has_yaml, yaml};
 

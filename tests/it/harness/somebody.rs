@@ -1,0 +1,52 @@
+//! A user other than root, who has no process and no thread but those that a scenario starts.
+
+use std::fs::{self, Permissions};
+use std::os::unix::fs::{PermissionsExt, chown};
+use std::path::Path;
+use std::process::{self, Command};
+use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
+
+use nix::unistd::geteuid;
+use tempfile::TempDir;
+
+use super::left_out;
+
+/// Who runs the binary, and a copy of it: whoever it is may not be able to run the original.
+#[derive(Debug)]
+pub(crate) struct Somebody {
+    user: u32,
+    folder: TempDir,
+}
+
+impl Somebody {
+    /// Somebody whom no other scenario knows; says so where nobody else can be had.
+    pub(crate) fn new() -> Option<Self> {
+        static NEXT: AtomicU32 = AtomicU32::new(0);
+        if !geteuid().is_root() || Command::new("setpriv").arg("--version").output().is_err() {
+            left_out("root and setpriv, to become somebody else");
+            return None;
+        }
+        let folder = tempfile::tempdir().unwrap();
+        fs::set_permissions(folder.path(), Permissions::from_mode(0o755)).unwrap();
+        fs::copy(env!("CARGO_BIN_EXE_pnet-nat"), folder.path().join("pnet-nat")).unwrap();
+        let user = 100_000 + process::id() * 100 + NEXT.fetch_add(1, Relaxed);
+        Some(Self { user, folder })
+    }
+
+    /// Makes a folder with a configuration his own.
+    pub(crate) fn owns(&self, folder: &Path) {
+        for path in ["", "pnet-nat.toml", "secrets", "secrets/section-1", "secrets/press"] {
+            chown(folder.join(path), Some(self.user), Some(self.user)).unwrap();
+        }
+    }
+
+    /// The binary with these arguments, run by him, with at most so many threads in all.
+    pub(crate) fn pnet_nat(&self, threads: Option<usize>, arguments: &[&str]) -> Command {
+        let mut command = Command::new("prlimit");
+        command.args(threads.map(|most| format!("--nproc={most}:{most}")));
+        let (user, group) = (format!("--reuid={}", self.user), format!("--regid={}", self.user));
+        command.args(["setpriv", &user, &group, "--clear-groups"]);
+        command.arg(self.folder.path().join("pnet-nat")).args(arguments);
+        command
+    }
+}
