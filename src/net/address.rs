@@ -1,5 +1,6 @@
 //! Socket addresses and control messages in the kernel's layout.
 
+use std::iter;
 use std::mem;
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, SocketAddrV4, SocketAddrV6};
 use std::ptr;
@@ -23,6 +24,10 @@ impl Default for Name {
 impl Name {
     pub(super) const CAPACITY: libc::socklen_t = size_of::<Self>() as libc::socklen_t;
 
+    pub(super) fn as_ptr(&self) -> *const libc::c_void {
+        ptr::from_ref(self).cast()
+    }
+
     pub(super) fn as_mut_ptr(&mut self) -> *mut libc::c_void {
         ptr::from_mut(self).cast()
     }
@@ -30,6 +35,9 @@ impl Name {
     /// The address that the kernel wrote in `len` octets.
     #[inline]
     pub(super) fn address(&self, len: libc::socklen_t) -> Option<SocketAddr> {
+        if len > Self::CAPACITY {
+            return None; // of no family that is known here, and cut short
+        }
         // SAFETY: every variant begins with the family, and all octets are initialised.
         let family = libc::c_int::from(unsafe { self.family });
         if family == libc::AF_INET && len as usize >= size_of::<libc::sockaddr_in>() {
@@ -77,84 +85,110 @@ impl Name {
 /// Room for control messages: the local address of a datagram, in or out, and on the way out the
 /// length of the datagrams that leave as one.
 #[derive(Clone, Copy)]
-#[repr(C)]
-pub(super) struct Control {
-    header: libc::cmsghdr,
-    local: Local,
-    /// Room for [`add_segment_len`](Self::add_segment_len), whose place depends on what stands
-    /// before it.
-    more: [libc::cmsghdr; 2],
+#[repr(C, align(8))]
+pub(super) struct Control([u8; Control::CAPACITY]);
+
+/// Where a control message's content begins, counted from the message.
+const CONTENT: usize = message_len(0);
+
+// The kernel reads and writes headers in place, and nothing of ours goes beyond the room.
+const _: () = {
+    assert!(align_of::<Control>() >= align_of::<libc::cmsghdr>());
+    assert!(size_of::<Control>() == Control::CAPACITY);
+    assert!(CONTENT >= size_of::<libc::cmsghdr>());
+    assert!(size_of::<libc::in_pktinfo>() == 12 && size_of::<libc::in6_pktinfo>() == 20);
+};
+
+/// Octets of a control message with this much content, what follows it left out.
+const fn message_len(content: usize) -> usize {
+    // SAFETY: it only reckons.
+    (unsafe { libc::CMSG_LEN(content as libc::c_uint) }) as usize
 }
 
-#[derive(Clone, Copy)]
-#[repr(C)]
-union Local {
-    v4: libc::in_pktinfo,
-    v6: libc::in6_pktinfo,
+/// Octets from a control message with this much content to the next one.
+const fn message_space(content: usize) -> usize {
+    // SAFETY: as above.
+    (unsafe { libc::CMSG_SPACE(content as libc::c_uint) }) as usize
 }
 
-/// Where a control message's content begins: right behind its header, on this and every other
-/// platform whose header is a multiple of the alignment.
-const CONTENT: usize = size_of::<libc::cmsghdr>();
+/// One control message.
+struct Message<'a> {
+    level: libc::c_int,
+    kind: libc::c_int,
+    content: &'a [u8],
+}
 
 impl Default for Control {
     fn default() -> Self {
-        // SAFETY: plain integers; all zero is a valid value.
-        unsafe { mem::zeroed() }
+        Self([0; Self::CAPACITY])
     }
 }
 
 impl Control {
-    pub(super) const CAPACITY: usize = size_of::<Self>();
+    pub(super) const CAPACITY: usize =
+        message_space(size_of::<libc::in6_pktinfo>()) + message_space(size_of::<u16>());
 
     pub(super) fn as_mut_ptr(&mut self) -> *mut libc::c_void {
         ptr::from_mut(self).cast()
     }
 
+    /// The first `len` octets.
+    #[inline]
+    pub(super) fn octets(&self, len: usize) -> &[u8] {
+        &self.0[..len.min(Self::CAPACITY)]
+    }
+
     /// The local address in the `len` octets that the kernel wrote; none for a socket that was not
-    /// asked to tell.
+    /// asked to tell, nor where the message was cut short.
     #[inline]
     pub(super) fn local_address(&self, len: usize) -> Option<IpAddr> {
-        if len < CONTENT + size_of::<libc::in_pktinfo>() {
-            return None;
-        }
-        match (self.header.cmsg_level, self.header.cmsg_type) {
+        self.messages(len).find_map(|message| match (message.level, message.kind) {
             (libc::IPPROTO_IP, libc::IP_PKTINFO) => {
-                // SAFETY: plain integers, initialised; level and type say which variant it is.
-                let info = unsafe { self.local.v4 };
+                // SAFETY: plain integers.
+                let info = unsafe { message.content::<libc::in_pktinfo>() }?;
                 Some(Ipv4Addr::from(info.ipi_spec_dst.s_addr.to_ne_bytes()).into())
             }
             (libc::IPPROTO_IPV6, libc::IPV6_PKTINFO) => {
-                // SAFETY: as above.
-                let info = unsafe { self.local.v6 };
+                // SAFETY: plain integers.
+                let info = unsafe { message.content::<libc::in6_pktinfo>() }?;
                 Some(Ipv6Addr::from(info.ipi6_addr.s6_addr).into())
             }
             _ => None,
-        }
+        })
+    }
+
+    /// The control messages in the first `len` octets, up to one that does not lie within them.
+    fn messages(&self, len: usize) -> impl Iterator<Item = Message<'_>> {
+        let mut rest = self.octets(len);
+        iter::from_fn(move || {
+            let header = rest.get(..size_of::<libc::cmsghdr>())?.as_ptr().cast::<libc::cmsghdr>();
+            // SAFETY: the header lies within `rest`; it is plain integers, and need not be aligned.
+            let header = unsafe { header.read_unaligned() };
+            let len: usize = header.cmsg_len as _; // the C libraries disagree on the type
+            let content = rest.get(CONTENT..len)?;
+            rest = rest.get(message_space(content.len())..).unwrap_or_default();
+            Some(Message { level: header.cmsg_level, kind: header.cmsg_type, content })
+        })
     }
 
     /// Writes the message that makes a datagram leave from `source`, by whichever interface routing
     /// picks, and returns the octets it takes.
     #[inline]
     pub(super) fn set_source(&mut self, source: IpAddr) -> usize {
-        let (level, kind, len) = match source {
+        match source {
             IpAddr::V4(source) => {
-                self.local.v4 = libc::in_pktinfo {
+                let info = libc::in_pktinfo {
                     ipi_ifindex: 0,
                     ipi_spec_dst: in_addr(source),
                     ipi_addr: in_addr(Ipv4Addr::UNSPECIFIED),
                 };
-                (libc::IPPROTO_IP, libc::IP_PKTINFO, size_of::<libc::in_pktinfo>())
+                self.put(0, libc::IPPROTO_IP, libc::IP_PKTINFO, info)
             }
             IpAddr::V6(source) => {
-                self.local.v6 = libc::in6_pktinfo { ipi6_addr: in6_addr(source), ipi6_ifindex: 0 };
-                (libc::IPPROTO_IPV6, libc::IPV6_PKTINFO, size_of::<libc::in6_pktinfo>())
+                let info = libc::in6_pktinfo { ipi6_addr: in6_addr(source), ipi6_ifindex: 0 };
+                self.put(0, libc::IPPROTO_IPV6, libc::IPV6_PKTINFO, info)
             }
-        };
-        self.header.cmsg_level = level;
-        self.header.cmsg_type = kind;
-        self.header.cmsg_len = (CONTENT + len) as _;
-        (CONTENT + len).next_multiple_of(align_of::<libc::cmsghdr>())
+        }
     }
 
     /// Adds, behind the `len` octets of [`set_source`](Self::set_source), the message that makes
@@ -162,22 +196,40 @@ impl Control {
     /// both take.
     #[inline]
     pub(super) fn add_segment_len(&mut self, len: usize, octets: u16) -> usize {
-        const LEN: usize = CONTENT + size_of::<u16>();
-        let end = len + LEN.next_multiple_of(align_of::<libc::cmsghdr>());
-        assert!(end <= Self::CAPACITY);
+        self.put(len, libc::SOL_UDP, libc::UDP_SEGMENT, octets)
+    }
+
+    /// Writes a message behind the first `at` octets, and returns where the next one would begin.
+    #[inline]
+    fn put<T: Copy>(&mut self, at: usize, level: i32, kind: i32, content: T) -> usize {
+        let end = at + message_space(size_of::<T>());
+        let room = &mut self.0[at..end];
         // SAFETY: a header of plain integers, for which all zero is valid.
         let mut header: libc::cmsghdr = unsafe { mem::zeroed() };
-        header.cmsg_level = libc::SOL_UDP;
-        header.cmsg_type = libc::UDP_SEGMENT;
-        header.cmsg_len = LEN as _;
-        // SAFETY: both writes end before `end`, which lies within `self`, as was just seen; they
-        // need no alignment, and any octets are valid where they go.
+        header.cmsg_level = level;
+        header.cmsg_type = kind;
+        header.cmsg_len = message_len(size_of::<T>()) as _;
+        let place = room.as_mut_ptr();
+        // SAFETY: `room` holds a header, and behind it the content; neither need be aligned.
         unsafe {
-            let place = ptr::from_mut(self).cast::<u8>().add(len);
             place.cast::<libc::cmsghdr>().write_unaligned(header);
-            place.add(CONTENT).cast::<u16>().write_unaligned(octets);
+            place.add(CONTENT).cast::<T>().write_unaligned(content);
         }
         end
+    }
+}
+
+impl Message<'_> {
+    /// What the message says, if it is long enough.
+    ///
+    /// # Safety
+    ///
+    /// Any octets are a valid `T`.
+    #[inline]
+    unsafe fn content<T: Copy>(&self) -> Option<T> {
+        let content = self.content.get(..size_of::<T>())?;
+        // SAFETY: so many octets are there, which need not be aligned; the rest the caller promises.
+        Some(unsafe { content.as_ptr().cast::<T>().read_unaligned() })
     }
 }
 
@@ -200,7 +252,12 @@ mod tests {
             let mut name = Name::default();
             let len = name.set(address);
             assert_eq!(name.address(len), Some(address));
-            assert_eq!(name.address(2), None, "cut short");
+            for short in 0..len {
+                assert_eq!(name.address(short), None, "{short} of {len} octets");
+            }
+            assert_eq!(name.address(Name::CAPACITY + 1), None, "longer than the room");
+            name.family = libc::AF_UNIX as libc::sa_family_t;
+            assert_eq!(name.address(len), None, "another family");
         }
         assert_eq!(Name::default().address(Name::CAPACITY), None, "no family");
     }
@@ -213,10 +270,68 @@ mod tests {
             let len = control.set_source(source);
             assert!(len <= Control::CAPACITY);
             assert_eq!(control.local_address(len), Some(source));
-            assert_eq!(control.local_address(0), None);
             let with_segments = control.add_segment_len(len, 42);
             assert!(len < with_segments && with_segments <= Control::CAPACITY);
             assert_eq!(control.local_address(len), Some(source), "still there");
+            assert_eq!(control.local_address(Control::CAPACITY + 1), Some(source));
+        }
+    }
+
+    #[test]
+    fn a_message_that_was_cut_short_tells_no_address() {
+        for text in ["198.51.100.7", "2001:db8::7"] {
+            let mut control = Control::default();
+            control.set_source(text.parse().unwrap());
+            let whole = control.messages(Control::CAPACITY).next().unwrap().content.len();
+            for room in 0..CONTENT + whole {
+                assert_eq!(control.local_address(room), None, "{room} octets");
+            }
+            // The kernel cuts the message itself, and what was there before stays behind it.
+            for content in 0..whole {
+                control.set_len(CONTENT + content);
+                assert_eq!(control.local_address(Control::CAPACITY), None, "{content} octets");
+            }
+            for absurd in [0, 1, CONTENT - 1, Control::CAPACITY + 1, isize::MAX as usize] {
+                control.set_len(absurd);
+                assert_eq!(control.local_address(Control::CAPACITY), None, "{absurd} octets");
+            }
+        }
+    }
+
+    #[test]
+    fn the_address_is_found_behind_other_messages() {
+        let source: IpAddr = "2001:db8::7".parse().unwrap();
+        let info = libc::in6_pktinfo {
+            ipi6_addr: in6_addr("2001:db8::7".parse().unwrap()),
+            ipi6_ifindex: 3,
+        };
+        for first in [0, 1, 7] {
+            let mut control = Control::default();
+            let at = match first {
+                0 => control.put(0, libc::SOL_SOCKET, libc::SO_RXQ_OVFL, ()),
+                1 => control.put(0, libc::SOL_SOCKET, libc::SO_RXQ_OVFL, [1_u8; 1]),
+                _ => control.put(0, libc::SOL_SOCKET, libc::SO_RXQ_OVFL, [1_u8; 7]),
+            };
+            let end = control.put(at, libc::IPPROTO_IPV6, libc::IPV6_PKTINFO, info);
+            assert_eq!(control.local_address(end), Some(source));
+            assert_eq!(control.local_address(at + CONTENT + 19), None, "cut short");
+            assert_eq!(control.messages(end).count(), 2);
+        }
+    }
+
+    impl Control {
+        /// What [`add_segment_len`](Self::add_segment_len) wrote.
+        pub(crate) fn segment_len(&self, len: usize) -> Option<u16> {
+            let is_it = |m: &Message<'_>| (m.level, m.kind) == (libc::SOL_UDP, libc::UDP_SEGMENT);
+            // SAFETY: any two octets are a number.
+            unsafe { self.messages(len).find(is_it)?.content() }
+        }
+
+        /// Changes the length that the first message tells.
+        fn set_len(&mut self, len: usize) {
+            let header = self.0.as_mut_ptr().cast::<libc::cmsghdr>();
+            // SAFETY: a header stands at the beginning, aligned as `Control` is.
+            unsafe { (*header).cmsg_len = len as _ };
         }
     }
 }

@@ -1,11 +1,12 @@
 //! Waiting for what is to be done next.
 //!
-//! The system call is made directly, for the reason that `batch` has: the C library would make it a
-//! cancellation point, at half of what the call itself costs when something is ready.
+//! The system call is made directly, for the reason that `batch::calls` has: the C library would make
+//! it a cancellation point, at half of what the call itself costs when something is ready.
 
 use std::os::fd::AsRawFd;
 use std::ptr;
 
+use libc::c_long;
 use nix::errno::Errno;
 use nix::sys::epoll::{Epoll, EpollEvent, EpollTimeout};
 
@@ -22,12 +23,12 @@ pub(super) fn wait(
     let ready = unsafe {
         libc::syscall(
             libc::SYS_epoll_pwait,
-            epoll.0.as_raw_fd(),
+            c_long::from(epoll.0.as_raw_fd()),
             events.as_mut_ptr(),
-            events.len(),
-            i32::from(time_out),
+            events.len() as c_long,
+            c_long::from(i32::from(time_out)),
             no_mask,
-            0,
+            0 as c_long,
         )
     };
     Errno::result(ready).map(|ready| ready as usize)
