@@ -4,6 +4,8 @@
 //! one run, each with its line, its key and what to do. `config/pnet-nat.toml` describes the keys.
 
 mod changes;
+mod credentials;
+mod excerpt;
 mod fault;
 mod guessable;
 mod model;
@@ -16,7 +18,9 @@ mod section;
 mod tests;
 mod token;
 
-use std::fs;
+use std::collections::{HashMap, HashSet};
+use std::fs::File;
+use std::io::{self, Read};
 use std::net::{IpAddr, SocketAddr};
 use std::num::NonZeroUsize;
 use std::path::Path;
@@ -28,7 +32,7 @@ use toml::de::DeTable;
 use crate::relay::{Limits, Mapping, NetId, Table};
 use crate::wire::Header;
 
-use fault::{Place, Report, line_of};
+use fault::Report;
 use net::Draft;
 use section::{LONGEST, Section};
 
@@ -41,6 +45,8 @@ pub use token::{NotAToken, Token};
 
 /// A worker that looks for datagrams longer than that would rather sleep.
 const MOST_BUSY_POLL: Duration = Duration::from_millis(1);
+/// A configuration may have so many octets: more than a server for each port takes.
+const MOST_OCTETS: u64 = 16 << 20;
 /// Unless it is set, an address may send as many wrong passwords as so many of its ports.
 const SENDERS_OF_AN_ADDRESS: u32 = 512;
 
@@ -53,14 +59,26 @@ pub fn load(path: &Path) -> Result<(Config, Vec<Warning>), Faults> {
 pub fn read_text(path: &Path) -> Result<String, Faults> {
     let unreadable = |line, problem, remedy: &str| {
         let (file, key, remedy) = (path.to_owned(), String::new(), remedy.to_owned());
-        Faults(vec![Fault { file, line, key, problem, remedy }])
+        Faults(vec![Fault { file, line, key, problem, remedy, excerpt: None }])
     };
-    let octets = fs::read(path).map_err(|err| {
+    let cannot_be_read = |err: io::Error| {
         let remedy = "name a configuration file that pnet-nat may read with --config";
         unreadable(None, format!("cannot be read: {err}"), remedy)
-    })?;
+    };
+    let mut octets = Vec::new();
+    let file = File::open(path).map_err(cannot_be_read)?;
+    file.take(MOST_OCTETS + 1).read_to_end(&mut octets).map_err(cannot_be_read)?;
+    if octets.len() as u64 > MOST_OCTETS {
+        let problem = format!("has more than {} MiB", MOST_OCTETS >> 20);
+        return Err(unreadable(
+            None,
+            problem,
+            "name a configuration; 65,535 servers fit into less",
+        ));
+    }
     String::from_utf8(octets).map_err(|err| {
-        let line = line_of(err.as_bytes(), err.utf8_error().valid_up_to());
+        let sound = &err.as_bytes()[..err.utf8_error().valid_up_to()];
+        let line = 1 + sound.iter().filter(|&&octet| octet == b'\n').count();
         unreadable(Some(line), "not UTF-8 text".into(), "save the file as UTF-8")
     })
 }
@@ -80,10 +98,10 @@ pub fn parse(text: &str, path: &Path) -> Result<(Config, Vec<Warning>), Faults> 
     let report = Report::new(path, text);
     let (document, errors) = DeTable::parse_recoverable(text);
     for error in errors {
-        let line = report.line(error.span().map_or(0, |span| span.start));
+        let offset = error.span().map_or(0, |span| span.start);
         let problem = error.message().replace('\n', ", ");
         let remedy = "correct the TOML; keys are checked once it can be read";
-        report.fault(&Place { line, key: String::new() }, problem, remedy.into());
+        report.syntax_fault(offset, problem, remedy.into());
     }
     // Values of a text that is only half understood would be judged wrongly.
     let root = || read(Section::root(document.get_ref(), &report));
@@ -123,20 +141,27 @@ fn public(mut section: Section<'_>) -> Vec<IpAddr> {
     let entry = section.key("listen", "[\"0.0.0.0\"]").required();
     section.finish();
     let mut listen: Vec<IpAddr> = Vec::new();
+    let mut known = HashSet::new();
+    // The first of each family, and the one that stands for all of it.
+    let (mut first, mut all) = (HashMap::new(), HashMap::new());
     for element in entry.list() {
         let Some(address) = element.parse::<IpAddr>() else { continue };
         let address = address.to_canonical();
-        let clash = |other: &&IpAddr| {
-            let covered = other.is_unspecified() || address.is_unspecified();
-            covered && other.is_ipv4() == address.is_ipv4()
-        };
-        if listen.contains(&address) {
+        let family = address.is_ipv4();
+        let clash = if address.is_unspecified() { first.get(&family) } else { all.get(&family) };
+        if !known.insert(address) {
             element.fault(format!("{address} is listed twice"), "list each address once");
-        } else if let Some(other) = listen.iter().find(clash) {
+            continue;
+        }
+        if let Some(other) = clash {
             element.fault(
                 format!("{address} and {other} overlap, for one of them is every address"),
                 "list either the addresses one by one or the one that is all of them",
             );
+        }
+        first.entry(family).or_insert(address);
+        if address.is_unspecified() {
+            all.insert(family, address);
         }
         listen.push(address);
     }

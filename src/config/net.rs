@@ -3,18 +3,16 @@
 //! What is read here may still hold faults; a [`Draft`] keeps what could be read, so that the
 //! nets can be compared with each other all the same.
 
-use std::collections::BTreeSet;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::time::Duration;
 
 use ipnet::IpNet;
 
-use crate::relay::{Credential, Net, NetKind, RequestRate};
+use crate::relay::{Net, NetKind, RequestRate};
 
-use super::fault::Place;
-use super::guessable;
+use super::credentials::credentials;
+use super::fault::{Place, quoted};
 use super::node_range::{LAST_NODE, NodeRange};
-use super::secret::password_file;
 use super::section::{Entry, LONGEST, Section};
 
 /// Where a server takes packages without a password (PAS 5.2.3, `p-net-local`).
@@ -197,15 +195,18 @@ fn subnet(entry: &Entry<'_>) -> Option<[u8; 4]> {
 
 /// Node addresses, in their order.
 fn nodes(entry: &Entry<'_>) -> Vec<u8> {
-    let mut nodes = BTreeSet::new();
+    // One bit for each node, for a list may name all of them very often.
+    let mut nodes = 0_u128;
     for element in entry.list() {
         let Some((first, last)) = node_range(&element) else { continue };
-        let twice: Vec<_> = (first..=last).filter(|&node| !nodes.insert(node)).collect();
-        if let Some(node) = twice.first() {
+        let these = u128::MAX >> (127 - last) & u128::MAX << first;
+        if nodes & these != 0 {
+            let node = (nodes & these).trailing_zeros();
             element.fault(format!("node {node} is listed twice"), "name each node once");
         }
+        nodes |= these;
     }
-    nodes.into_iter().collect()
+    (1..=LAST_NODE).filter(|node| nodes >> node & 1 == 1).collect()
 }
 
 /// `33` or `"1-4"`.
@@ -217,7 +218,7 @@ fn node_range(entry: &Entry<'_>) -> Option<(u8, u8)> {
     match text.parse::<NodeRange>() {
         Ok(NodeRange(range)) => Some(range.into_inner()),
         Err(error) => {
-            let problem = format!("{text:?} is not a range of node addresses");
+            let problem = format!("{} is not a range of node addresses", quoted(text));
             entry.fault(problem, error.to_string());
             None
         }
@@ -309,61 +310,15 @@ fn idle_timeout(entry: &Entry<'_>) -> Duration {
     timeout
 }
 
-fn credentials(entry: &Entry<'_>, allow_without_password: bool) -> Vec<Credential> {
-    let Some(sections) = entry.sections() else { return Vec::new() };
-    if sections.is_empty() && !allow_without_password {
-        // A4, PAS 7
-        let net = entry.place.key.split(['[', '.']).next().unwrap_or_default();
-        entry.fault(
-            "missing: clients need a password",
-            format!(
-                "add [[{net}.password]] with `name` and `file`, or `allow_without_password = true`"
-            ),
-        );
-    }
-    let mut credentials: Vec<Credential> = Vec::new();
-    for mut section in sections {
-        let name_entry = section.key("name", "\"service\"").required();
-        let file = section.key("file", "\"secrets/section-1\"").required();
-        let device_file = section.key("device_file", "\"secrets/device\"");
-        section.finish();
-
-        let name = name(&name_entry).unwrap_or_default();
-        if !name.is_empty() && credentials.iter().any(|other| other.name == name) {
-            name_entry.fault(
-                format!("{name:?} is already a password of this net"),
-                "give each its own name",
-            );
-        }
-        let device_password = password_file(&device_file);
-        let Some(password) = password_file(&file) else { continue };
-        if let Some(weakness) = guessable::weakness(&password) {
-            file.warn(
-                format!("a password that is easily guessed: {weakness}"),
-                "choose a random one: `head -c 6 /dev/urandom | base64` makes 8 octets and a line break",
-            );
-        }
-        let same = |other: &&Credential| bool::from(other.password.matches(password.octets()));
-        if let Some(other) = credentials.iter().find(same) {
-            file.fault(
-                format!("the same password as {:?} of this net", other.name),
-                "give each its own password, or remove one",
-            );
-        }
-        credentials.push(Credential { name, password, device_password });
-    }
-    credentials
-}
-
 /// A name fit for metrics, logs and addresses of the API.
-fn name(entry: &Entry<'_>) -> Option<String> {
+pub(super) fn name(entry: &Entry<'_>) -> Option<String> {
     let name = entry.text()?;
     let valid = (1..=63).contains(&name.len())
         && name.starts_with(|c: char| c.is_ascii_alphanumeric())
         && name.chars().all(|c| c.is_ascii_alphanumeric() || matches!(c, '.' | '_' | '-'));
     if !valid {
         entry.fault(
-            format!("{name:?} is not a name"),
+            format!("{} is not a name", quoted(name)),
             "use 1 to 63 of A-Z a-z 0-9 . _ - and begin with a letter or digit",
         );
         return None;

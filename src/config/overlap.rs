@@ -51,17 +51,25 @@ fn refuse_shared_servers(drafts: &[Draft<'_>]) {
     }
 }
 
-/// nothing listens at start port + 126 or + 127.
+/// nothing listens at start port + 126 or + 127. Two blocks that have these in common are told
+/// of once.
 fn refuse_broadcast_ports(drafts: &[Draft<'_>]) {
+    let mut silent = HashMap::new();
     for range in drafts {
-        let silent = range.silent_ports();
-        for draft in drafts {
-            let taken = draft.public_ports.values.iter().find(|port| silent.contains(port));
-            let Some(port) = taken else { continue };
-            draft.public_ports.entry.fault(
-                format!("public port {port} is a broadcast's in {}", range.label()),
-                "choose another: nothing may listen at start port + 126 or + 127",
-            );
+        for port in range.silent_ports() {
+            silent.entry(port).or_insert(range);
+        }
+    }
+    for draft in drafts {
+        let mut told = HashSet::new();
+        for port in &draft.public_ports.values {
+            let Some(range) = silent.get(port) else { continue };
+            if told.insert(&range.place.key) {
+                draft.public_ports.entry.fault(
+                    format!("public port {port} is a broadcast's in {}", range.label()),
+                    "choose another: nothing may listen at start port + 126 or + 127",
+                );
+            }
         }
     }
 }
@@ -69,11 +77,13 @@ fn refuse_broadcast_ports(drafts: &[Draft<'_>]) {
 fn refuse_loops(drafts: &[Draft<'_>], listen: &[IpAddr]) {
     let public_ports: HashSet<u16> =
         drafts.iter().flat_map(|draft| draft.public_ports.values.iter().copied()).collect();
+    let own: HashSet<&IpAddr> = listen.iter().collect();
     // Listening everywhere includes loopback; which other addresses are this host's is not known.
+    let everywhere = listen.iter().any(IpAddr::is_unspecified);
     let is_ours = |server: &SocketAddr| {
         let ip = server.ip();
-        let here = |own: &IpAddr| *own == ip || own.is_unspecified() && ip.is_loopback();
-        public_ports.contains(&server.port()) && listen.iter().any(here)
+        let is_here = own.contains(&ip) || everywhere && ip.is_loopback();
+        is_here && public_ports.contains(&server.port())
     };
     for draft in drafts {
         if let Some(server) = draft.servers.values.iter().find(|server| is_ours(server)) {

@@ -12,15 +12,20 @@ use std::time::Duration;
 use toml::Spanned;
 use toml::de::{DeInteger, DeTable, DeValue};
 
-use super::fault::{Place, Report};
+use super::fault::{Place, Report, Unknown, quoted, shortened};
 
 /// The longest time a setting can name: far beyond use, and safe to add to a clock.
 pub(super) const LONGEST: Duration = Duration::from_secs(24 * 60 * 60);
+
+/// No key that there is has more octets.
+const LONGEST_KEY: usize = 63;
 
 /// A table of the file, or one that is left out and so has no keys.
 #[derive(Debug)]
 pub(super) struct Section<'a> {
     pub(super) place: Place,
+    /// As the file has it: `[public]`, `[[server.password]]`; of the whole document, empty.
+    header: String,
     table: Option<&'a DeTable<'a>>,
     known: Vec<&'static str>,
     pub(super) report: &'a Report<'a>,
@@ -30,7 +35,7 @@ impl<'a> Section<'a> {
     /// The whole document.
     pub(super) fn root(table: &'a DeTable<'a>, report: &'a Report<'a>) -> Self {
         let place = Place { line: 1, key: String::new() };
-        Self { place, table: Some(table), known: Vec::new(), report }
+        Self { place, header: String::new(), table: Some(table), known: Vec::new(), report }
     }
 
     /// The value at `key`; `example` is one that would do, as TOML.
@@ -44,7 +49,7 @@ impl<'a> Section<'a> {
 
     /// Refuses the keys that were not asked for.
     pub(super) fn finish(self) {
-        for key in self.table.into_iter().flat_map(DeTable::keys) {
+        for key in self.table.iter().copied().flat_map(DeTable::keys) {
             let name: &str = key.get_ref();
             if self.known.contains(&name) {
                 continue;
@@ -56,19 +61,29 @@ impl<'a> Section<'a> {
                 Some(close) => format!("did you mean `{close}`? The keys here are {keys}"),
                 None => format!("remove it; the keys here are {keys}"),
             };
-            self.report.fault(&place, "unknown key".into(), remedy);
+            let (header, line) = (self.header.clone(), self.place.line);
+            let unknown = Unknown { name: name.to_owned(), header, line };
+            self.report.unknown_key(&place, unknown, remedy);
+        }
+        if !self.header.is_empty() {
+            self.report.learn(self.header, self.known);
         }
     }
 
     fn path_of(&self, key: &str) -> String {
         // A key that had to be quoted may hold anything, line breaks included.
         let bare = |c: char| c.is_ascii_alphanumeric() || c == '_' || c == '-';
-        let key = if key.chars().all(bare) { key.into() } else { format!("{key:?}") };
+        let is_bare = key.len() <= LONGEST_KEY && key.chars().all(bare);
+        let key = if is_bare { key.into() } else { quoted(key) };
         if self.place.key.is_empty() { key } else { format!("{}.{key}", self.place.key) }
     }
 }
 
 fn closest(name: &str, known: &[&'static str]) -> Option<&'static str> {
+    // What is far longer than any key is none that was mistyped.
+    if name.len() > LONGEST_KEY {
+        return None;
+    }
     let distance = |key: &&&str| strsim::osa_distance(name, key);
     known.iter().min_by_key(distance).filter(|key| distance(key) <= 1 + key.len() / 5).copied()
 }
@@ -128,7 +143,7 @@ impl<'a> Entry<'a> {
         if number.is_none() {
             let (first, last) = (bounds.start(), bounds.end());
             let remedy = format!("choose a whole number from {first} to {last}");
-            self.fault(format!("{integer} is out of bounds"), remedy);
+            self.fault(format!("{} is out of bounds", shortened(&integer.to_string())), remedy);
         }
         number
     }
@@ -181,7 +196,7 @@ impl<'a> Entry<'a> {
                 None
             }
         });
-        Section { place: self.place, table, known: Vec::new(), report: self.report }
+        Section { place: self.place, header, table, known: Vec::new(), report: self.report }
     }
 
     /// The tables with this name, which may be several or none; nothing when it is something else.
@@ -189,14 +204,15 @@ impl<'a> Entry<'a> {
         let Some(value) = self.value else { return Some(Vec::new()) };
         let header = format!("[[{}]]", without_indices(&self.place.key));
         let remedy = format!("write the header of each as {header}");
+        let table = |element: Self| element.table(&header, &remedy);
         match value.get_ref() {
             DeValue::Array(list) => {
                 let elements = list.iter().enumerate().map(|(index, v)| self.element(index, v));
-                Some(elements.filter_map(|element| element.table(&remedy)).collect())
+                Some(elements.filter_map(table).collect())
             }
             DeValue::Table(_) => {
                 self.fault("there may be several, so each needs double brackets", remedy.clone());
-                Some(self.element(0, value).table(&remedy).into_iter().collect())
+                Some(table(self.element(0, value)).into_iter().collect())
             }
             other => {
                 self.wrong_kind("sections", other, &remedy);
@@ -205,14 +221,14 @@ impl<'a> Entry<'a> {
         }
     }
 
-    fn table(self, remedy: &str) -> Option<Section<'a>> {
+    fn table(self, header: &str, remedy: &str) -> Option<Section<'a>> {
         let value = self.value?.get_ref();
         let Some(table) = value.as_table() else {
             self.wrong_kind("a section", value, remedy);
             return None;
         };
-        let (place, report) = (self.place, self.report);
-        Some(Section { place, table: Some(table), known: Vec::new(), report })
+        let (place, report, header) = (self.place, self.report, header.to_owned());
+        Some(Section { place, header, table: Some(table), known: Vec::new(), report })
     }
 
     fn element(&self, index: usize, value: &'a Spanned<DeValue<'a>>) -> Self {
@@ -223,7 +239,10 @@ impl<'a> Entry<'a> {
 
     fn parse_with<T, E: Display>(&self, parse: impl Fn(&str) -> Result<T, E>) -> Option<T> {
         let text = self.text()?;
-        let fault = |err| self.fault(format!("{text:?} cannot be read: {err}"), self.like());
+        let fault = |err: E| {
+            let (text, err) = (quoted(text), err.to_string());
+            self.fault(format!("{text} cannot be read: {}", shortened(&err)), self.like());
+        };
         parse(text).map_err(fault).ok()
     }
 

@@ -130,6 +130,8 @@ pub struct Table {
     pub header: Header,
     nets: Vec<Net>,
     mappings: Vec<Mapping>,
+    /// Net by net.
+    by_net: Vec<MappingId>,
     by_server: HashMap<SocketAddr, MappingId, foldhash::fast::RandomState>,
 }
 
@@ -137,8 +139,10 @@ impl Table {
     /// The table of these nets and mappings.
     pub fn new(header: Header, nets: Vec<Net>, mappings: Vec<Mapping>) -> Self {
         let ids = (0..).map(MappingId);
+        let mut by_net: Vec<_> = ids.clone().take(mappings.len()).collect();
+        by_net.sort_by_key(|id| mappings[id.0 as usize].net.0);
         let by_server = mappings.iter().map(|mapping| mapping.server).zip(ids).collect();
-        Self { header, nets, mappings, by_server }
+        Self { header, nets, mappings, by_net, by_server }
     }
 
     /// The nets, in the order of their [`NetId`].
@@ -163,7 +167,10 @@ impl Table {
 
     /// The indices of one net's mappings, in their order.
     pub fn mappings_of(&self, net: NetId) -> impl Iterator<Item = MappingId> + '_ {
-        self.mapping_ids().filter(move |&id| self.mapping(id).net == net)
+        let net_of = |id: &MappingId| self.mapping(*id).net.0;
+        let first = self.by_net.partition_point(|id| net_of(id) < net.0);
+        let end = self.by_net.partition_point(|id| net_of(id) <= net.0);
+        self.by_net[first..end].iter().copied()
     }
 
     /// The net with this index.

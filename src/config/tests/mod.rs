@@ -5,6 +5,7 @@
 
 mod faults;
 mod reference;
+mod size;
 
 use std::fs::{self, Permissions};
 use std::os::unix::fs::{PermissionsExt, symlink};

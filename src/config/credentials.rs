@@ -1,0 +1,68 @@
+//! The passwords of a net: `[[udp_range_net.password]]` and `[[server.password]]`.
+
+use std::collections::{HashMap, HashSet};
+
+use crate::relay::Credential;
+
+use super::guessable;
+use super::net::name;
+use super::secret::password_file;
+use super::section::{Entry, Section};
+
+/// What stands at `password`: at least one, unless the net allows requests without.
+pub(super) fn credentials(entry: &Entry<'_>, allow_without_password: bool) -> Vec<Credential> {
+    let Some(sections) = entry.sections() else { return Vec::new() };
+    if sections.is_empty() && !allow_without_password {
+        // A4, PAS 7
+        let net = entry.place.key.split(['[', '.']).next().unwrap_or_default();
+        entry.fault(
+            "missing: clients need a password",
+            format!(
+                "add [[{net}.password]] with `name` and `file`, or `allow_without_password = true`"
+            ),
+        );
+    }
+    let mut names = HashSet::new();
+    let read = sections.into_iter().filter_map(|section| credential(section, &mut names));
+    let (files, credentials): (Vec<Entry<'_>>, Vec<Credential>) = read.unzip();
+    refuse_shared(&files, &credentials);
+    credentials
+}
+
+fn credential<'a>(
+    mut section: Section<'a>,
+    names: &mut HashSet<String>,
+) -> Option<(Entry<'a>, Credential)> {
+    let name_entry = section.key("name", "\"service\"").required();
+    let file = section.key("file", "\"secrets/section-1\"").required();
+    let device_file = section.key("device_file", "\"secrets/device\"");
+    section.finish();
+
+    let name = name(&name_entry).unwrap_or_default();
+    if !name.is_empty() && !names.insert(name.clone()) {
+        name_entry
+            .fault(format!("{name:?} is already a password of this net"), "give each its own name");
+    }
+    let device_password = password_file(&device_file);
+    let password = password_file(&file)?;
+    if let Some(weakness) = guessable::weakness(&password) {
+        file.warn(
+            format!("a password that is easily guessed: {weakness}"),
+            "choose a random one: `head -c 6 /dev/urandom | base64` makes 8 octets and a line break",
+        );
+    }
+    Some((file, Credential { name, password, device_password }))
+}
+
+fn refuse_shared(files: &[Entry<'_>], credentials: &[Credential]) {
+    let mut first = HashMap::new();
+    for (file, credential) in files.iter().zip(credentials) {
+        let other = *first.entry(credential.password.octets()).or_insert(&credential.name);
+        if !std::ptr::eq(other, &credential.name) {
+            file.fault(
+                format!("the same password as {other:?} of this net"),
+                "give each its own password, or remove one",
+            );
+        }
+    }
+}
