@@ -83,10 +83,8 @@ fn read(path: &Path, becomes_user: bool) -> Result<(Config, Vec<Warning>, Option
         return Ok((config, warnings, None));
     };
     let user = User::find(&name).map_err(refuse)?;
-    // As each reload will read it; but a pipe can be read only once.
-    let again = path.is_file();
-    let read = || if again { load(path) } else { told(config::parse(&text, path)) };
-    let (config, warnings) = user.act(read).map_err(refuse)??;
+    // As each reload will read it.
+    let (config, warnings) = user.act(|| load(path)).map_err(refuse)??;
     Ok((config, warnings, Some(user)))
 }
 

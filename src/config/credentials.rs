@@ -6,7 +6,7 @@ use crate::relay::Credential;
 
 use super::guessable;
 use super::net::name;
-use super::secret::password_file;
+use super::secret::{device_password_file, make_password, password_file, path_of};
 use super::section::{Entry, Section};
 
 /// What stands at `password`: at least one, unless the net allows requests without.
@@ -43,12 +43,12 @@ fn credential<'a>(
         name_entry
             .fault(format!("{name:?} is already a password of this net"), "give each its own name");
     }
-    let device_password = password_file(&device_file);
+    let device_password = device_password_file(&device_file);
     let password = password_file(&file)?;
     if let Some(weakness) = guessable::weakness(&password) {
         file.warn(
             format!("a password that is easily guessed: {weakness}"),
-            "choose a random one: `head -c 6 /dev/urandom | base64` makes 8 octets and a line break",
+            format!("make a random one: {}", make_password(&path_of(&file)?)),
         );
     }
     Some((file, Credential { name, password, device_password }))

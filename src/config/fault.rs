@@ -188,12 +188,14 @@ pub(super) struct Unknown {
     /// The header of the section, and the line that it begins in.
     pub(super) header: String,
     pub(super) line: usize,
+    /// The section has a key that is nearly the same.
+    pub(super) is_close: bool,
 }
 
 impl Unknown {
     /// What to do when other sections have the key.
     fn remedy(&self, known: &BTreeMap<String, Vec<&'static str>>) -> Option<String> {
-        let Self { name, header, line } = self;
+        let Self { name, header, line, is_close } = self;
         let has_it = |(_, keys): &(_, &Vec<_>)| keys.contains(&name.as_str());
         let homes: Vec<_> = known.iter().filter(has_it).map(|(home, _)| home.as_str()).collect();
         let above =
@@ -202,7 +204,7 @@ impl Unknown {
             Some(above) => Some(format!(
                 "it is a key of {above}: move it above line {line}, where {header} begins"
             )),
-            None if homes.is_empty() => None,
+            None if homes.is_empty() || *is_close => None,
             None => Some(format!("it is a key of {}: move it there", homes.join(" or of "))),
         }
     }

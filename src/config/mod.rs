@@ -7,10 +7,12 @@ mod changes;
 mod credentials;
 mod excerpt;
 mod fault;
+mod file;
 mod guessable;
 mod model;
 mod net;
 mod node_range;
+mod odd;
 mod overlap;
 mod secret;
 mod section;
@@ -19,8 +21,7 @@ mod tests;
 mod token;
 
 use std::collections::{HashMap, HashSet};
-use std::fs::File;
-use std::io::{self, Read};
+use std::io::Read;
 use std::net::{IpAddr, SocketAddr};
 use std::num::NonZeroUsize;
 use std::path::Path;
@@ -33,6 +34,7 @@ use crate::relay::{Limits, Mapping, NetId, Table};
 use crate::wire::Header;
 
 use fault::Report;
+use file::FileError;
 use net::Draft;
 use section::{LONGEST, Section};
 
@@ -61,13 +63,17 @@ pub fn read_text(path: &Path) -> Result<String, Faults> {
         let (file, key, remedy) = (path.to_owned(), String::new(), remedy.to_owned());
         Faults(vec![Fault { file, line, key, problem, remedy, excerpt: None }])
     };
-    let cannot_be_read = |err: io::Error| {
-        let remedy = "name a configuration file that pnet-nat may read with --config";
-        unreadable(None, format!("cannot be read: {err}"), remedy)
+    let cannot_be_read = |error: FileError| {
+        let remedy = match error.is_absent() {
+            true => "name a configuration file that pnet-nat may read with --config".into(),
+            false => error.remedy(path),
+        };
+        unreadable(None, error.to_string(), &remedy)
     };
     let mut octets = Vec::new();
-    let file = File::open(path).map_err(cannot_be_read)?;
-    file.take(MOST_OCTETS + 1).read_to_end(&mut octets).map_err(cannot_be_read)?;
+    let (file, _) = file::open(path).map_err(cannot_be_read)?;
+    let read = file.take(MOST_OCTETS + 1).read_to_end(&mut octets);
+    read.map_err(|error| cannot_be_read(error.into()))?;
     if octets.len() as u64 > MOST_OCTETS {
         let problem = format!("has more than {} MiB", MOST_OCTETS >> 20);
         return Err(unreadable(

@@ -1,20 +1,24 @@
 //! Password files: 8 opaque octets, closed to others than their owner and group. Token files are
 //! opened by the same rules.
 //!
-//! At most 9 octets are read, buffers are wiped, and no error tells an octet.
+//! A few octets more than a password are read, buffers are wiped, and no error tells an octet.
 
-use std::fs::{File, OpenOptions};
-use std::io::{self, Read};
-use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
+use std::fs::File;
+use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
+use nix::unistd::geteuid;
 use zeroize::Zeroizing;
 
 use crate::wire::Password;
 
+use super::file::{self, FileError, is_read_only, shell_quoted};
+use super::odd::oddities;
 use super::section::Entry;
 
-const NEWLINE: u8 = b'\n';
+const BYTE_ORDER_MARK: &[u8] = b"\xef\xbb\xbf";
+/// As much as a password with a byte order mark and a line break has, and one more.
+const MOST_READ: usize = Password::LEN + 6;
 /// Others can do anything with it, or the group can write it. A group that reads is how Kubernetes
 /// hands a secret to a process that is not root.
 const OPEN_TO_OTHERS: u32 = 0o027;
@@ -22,109 +26,146 @@ const OPEN_TO_OTHERS: u32 = 0o027;
 /// Why a password file is refused.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum SecretError {
-    #[error("{path:?} cannot be read: {source}")]
-    Unreadable { path: PathBuf, source: io::Error },
-    #[error("{0:?} is not a regular file")]
-    NotAFile(PathBuf),
+    #[error("{path:?} {source}")]
+    File { path: PathBuf, source: FileError },
     #[error("{path:?} is open to others (mode {mode:03o})")]
     Exposed { path: PathBuf, mode: u32 },
     #[error("{path:?} has {octets} octets, and a password has 8")]
     TooShort { path: PathBuf, octets: usize },
     #[error("{0:?} has more than the 8 octets of a password")]
     TooLong(PathBuf),
-    #[error("{0:?} has a line break after the 8 octets of the password")]
-    Newline(PathBuf),
+    #[error("{0:?} begins with a byte order mark, three octets that an editor put there")]
+    Marked(PathBuf),
+    #[error("{path:?} has a line break ({kind}) after the 8 octets of the password")]
+    LineBreak { path: PathBuf, kind: &'static str },
 }
 
 impl SecretError {
-    /// What the user can do.
-    pub(crate) fn remedy(&self) -> String {
+    pub(super) fn is_absent(&self) -> bool {
+        matches!(self, Self::File { source, .. } if source.is_absent())
+    }
+
+    /// What the user can do, other than to write a new file.
+    fn remedy_for(&self) -> Option<String> {
         match self {
-            Self::Unreadable { path, source } if source.kind() == io::ErrorKind::NotFound => {
-                format!("write its 8 octets: {}", write_command(path))
+            Self::File { source, .. } if source.is_absent() => None,
+            Self::File { path, source } => Some(source.remedy(path)),
+            Self::Exposed { path, .. } if is_read_only(path) => {
+                let user = geteuid();
+                Some(format!(
+                    "it is mounted read-only: have the secret mounted with mode=0400,uid={user}"
+                ))
             }
-            Self::Unreadable { .. } => {
-                "let the user that runs pnet-nat own it; a running relay reads \
-                only folders that its configuration named when it started"
-                    .to_owned()
+            Self::Exposed { path, .. } => {
+                Some(format!("run `chmod 600 -- {}`", shell_quoted(path)))
             }
-            Self::NotAFile(_) => "name a file that holds nothing else".to_owned(),
-            Self::Exposed { path, .. } => format!("run `chmod 600 {path:?}`"),
-            Self::TooShort { path, .. } | Self::TooLong(path) => {
-                format!("write exactly 8 octets: {}", write_command(path))
+            Self::LineBreak { path, .. } => {
+                let file = shell_quoted(path);
+                Some(format!("take it away: `truncate --size=8 {file}`"))
             }
-            Self::Newline(path) => {
-                format!("write it without the line break: {}", write_command(path))
+            Self::TooShort { .. } | Self::TooLong(_) | Self::Marked(_) => None,
+        }
+    }
+
+    /// What the user of a file with a known password can do.
+    pub(crate) fn remedy(&self) -> String {
+        self.remedy_for().unwrap_or_else(|| match self {
+            Self::File { .. } => "name the file that holds the net's password".into(),
+            _ => "let it hold the 8 octets of the net's password and nothing else".into(),
+        })
+    }
+}
+
+/// A command that writes a new, random password of 8 characters into a file.
+pub(super) fn make_password(path: &Path) -> String {
+    make(path, "head -c 6 /dev/urandom | base64 | tr -d '\\n'")
+}
+
+/// A command that writes what another puts out into a file which is its owner's alone, in a folder
+/// that may have to be made.
+pub(super) fn make(path: &Path, output: &str) -> String {
+    let folder = path.parent().filter(|folder| *folder != Path::new("") && !folder.exists());
+    let folder = folder.map(|folder| format!("mkdir -p -m 700 -- {} && ", shell_quoted(folder)));
+    format!("`(umask 077; {}{output} > {})`", folder.unwrap_or_default(), shell_quoted(path))
+}
+
+/// The password of clients in the file that `entry` names, relative to the folder of the configuration.
+pub(super) fn password_file(entry: &Entry<'_>) -> Option<Password> {
+    read_entry(entry, |path| format!("make one of 8 random characters: {}", make_password(path)))
+}
+
+/// The password of servers, which they were given elsewhere.
+pub(super) fn device_password_file(entry: &Entry<'_>) -> Option<Password> {
+    read_entry(entry, |path| {
+        let command = make(path, "IFS= read -r password; printf %s \"$password\"");
+        format!("run {command}, and type the 8 characters that the servers expect")
+    })
+}
+
+fn read_entry(entry: &Entry<'_>, write_anew: impl Fn(&Path) -> String) -> Option<Password> {
+    let path = path(entry)?;
+    match read_password(path.clone()) {
+        Ok(password) => {
+            if let Some(oddities) = oddities(&password) {
+                let remedy = format!("unless that is meant, {}", write_anew(&path));
+                entry.warn(format!("a password that looks mistyped: {oddities}"), remedy);
             }
+            Some(password)
+        }
+        Err(error) => {
+            let remedy = error.remedy_for().unwrap_or_else(|| write_anew(&path));
+            entry.fault(error.to_string(), remedy);
+            None
         }
     }
 }
 
-/// Paths are shown escaped: the configuration may hold any character in one.
-fn write_command(path: &Path) -> String {
-    format!("`(umask 077; printf %s 'PASSWORD' > {path:?})`")
-}
-
-/// The password in the file that `entry` names, relative to the folder of the configuration.
-pub(super) fn password_file(entry: &Entry<'_>) -> Option<Password> {
-    let path = path(entry)?;
-    let fault = |err: SecretError| entry.fault(err.to_string(), err.remedy());
-    read_password(path).map_err(fault).ok()
-}
-
-/// The path that `entry` names, which is remembered as one of the configuration's files.
-pub(super) fn path(entry: &Entry<'_>) -> Option<PathBuf> {
+/// The path that `entry` names.
+pub(super) fn path_of(entry: &Entry<'_>) -> Option<PathBuf> {
     let folder = entry.report.file.parent().unwrap_or(Path::new(""));
-    let path = folder.join(entry.text()?);
+    Some(folder.join(entry.text()?))
+}
+
+/// The same, which is remembered as one of the configuration's files.
+pub(super) fn path(entry: &Entry<'_>) -> Option<PathBuf> {
+    let path = path_of(entry)?;
     entry.report.secrets.borrow_mut().push(path.clone());
     Some(path)
 }
 
 /// PAS 11, A11: a password is 8 octets, neither padded nor cut.
 pub(crate) fn read_password(path: PathBuf) -> Result<Password, SecretError> {
-    let mut octets = Zeroizing::new([0; Password::LEN + 1]);
-    match fill(&mut open(&path)?, octets.as_mut_slice()) {
-        Ok(Password::LEN) => Ok(password(&octets)),
-        Ok(octets) if octets < Password::LEN => Err(SecretError::TooShort { path, octets }),
-        Ok(_) if octets[Password::LEN] == NEWLINE => Err(SecretError::Newline(path)),
-        Ok(_) => Err(SecretError::TooLong(path)),
-        Err(source) => Err(SecretError::Unreadable { path, source }),
+    let mut octets = Zeroizing::new([0; MOST_READ]);
+    let read = match file::fill(&mut open(&path)?, octets.as_mut_slice()) {
+        Ok(read) => &octets[..read],
+        Err(error) => return Err(SecretError::File { path, source: error.into() }),
+    };
+    let Some((password, rest)) = read.split_at_checked(Password::LEN) else {
+        return Err(SecretError::TooShort { path, octets: read.len() });
+    };
+    match rest {
+        [] => Ok(self::password(password)),
+        b"\n" => Err(SecretError::LineBreak { path, kind: "LF" }),
+        b"\r\n" => Err(SecretError::LineBreak { path, kind: "CR LF" }),
+        b"\r" => Err(SecretError::LineBreak { path, kind: "CR" }),
+        _ if password.starts_with(BYTE_ORDER_MARK) => Err(SecretError::Marked(path)),
+        _ => Err(SecretError::TooLong(path)),
     }
 }
 
 /// Opens a file that is closed to others.
 pub(super) fn open(path: &Path) -> Result<File, SecretError> {
-    // Without O_NONBLOCK, opening a named pipe would wait for a writer.
-    let file = OpenOptions::new().read(true).custom_flags(libc::O_NONBLOCK).open(path);
-    let unreadable = |source| SecretError::Unreadable { path: path.to_owned(), source };
-    let (metadata, file) =
-        file.and_then(|file| Ok((file.metadata()?, file))).map_err(unreadable)?;
+    let unreadable = |source| SecretError::File { path: path.to_owned(), source };
+    let (file, metadata) = file::open(path).map_err(unreadable)?;
     let mode = metadata.mode() & 0o777;
-    if !metadata.is_file() {
-        return Err(SecretError::NotAFile(path.to_owned()));
-    }
     if mode & OPEN_TO_OTHERS != 0 {
         return Err(SecretError::Exposed { path: path.to_owned(), mode });
     }
     Ok(file)
 }
 
-fn password(octets: &[u8; Password::LEN + 1]) -> Password {
+fn password(octets: &[u8]) -> Password {
     let mut password = Zeroizing::new([0; Password::LEN]);
-    password.copy_from_slice(&octets[..Password::LEN]);
+    password.copy_from_slice(octets);
     Password::new(*password)
-}
-
-/// Reads until the buffer is full or the file at its end.
-pub(super) fn fill(reader: &mut impl Read, buffer: &mut [u8]) -> io::Result<usize> {
-    let mut filled = 0;
-    while filled < buffer.len() {
-        match reader.read(&mut buffer[filled..]) {
-            Ok(0) => break,
-            Ok(octets) => filled += octets,
-            Err(err) if err.kind() == io::ErrorKind::Interrupted => {}
-            Err(err) => return Err(err),
-        }
-    }
-    Ok(filled)
 }

@@ -57,12 +57,14 @@ impl<'a> Section<'a> {
             let line = self.report.line(key.span().start);
             let place = Place { line, key: self.path_of(name) };
             let keys = self.known.join(", ");
-            let remedy = match closest(name, &self.known) {
+            let close = closest(name, &self.known);
+            let remedy = match close {
                 Some(close) => format!("did you mean `{close}`? The keys here are {keys}"),
                 None => format!("remove it; the keys here are {keys}"),
             };
             let (header, line) = (self.header.clone(), self.place.line);
-            let unknown = Unknown { name: name.to_owned(), header, line };
+            let unknown =
+                Unknown { name: name.to_owned(), header, line, is_close: close.is_some() };
             self.report.unknown_key(&place, unknown, remedy);
         }
         if !self.header.is_empty() {

@@ -7,6 +7,7 @@ use std::ops::RangeInclusive;
 use subtle::ConstantTimeEq;
 use zeroize::{ZeroizeOnDrop, Zeroizing};
 
+use super::file;
 use super::secret::{self, SecretError};
 use super::section::Entry;
 
@@ -55,24 +56,24 @@ impl fmt::Debug for Token {
 /// break at its end is no part of it.
 pub(super) fn token_file(entry: &Entry<'_>) -> Option<Token> {
     let path = secret::path(entry)?;
-    let write = format!("write one: `(umask 077; openssl rand -hex 16 > {path:?})`");
+    let write = || format!("write one: {}", secret::make(&path, "openssl rand -hex 16"));
     // One octet more than a token and its line break have.
-    let mut octets = Zeroizing::new([0; *Token::LEN.end() + 2]);
+    let mut octets = Zeroizing::new([0; *Token::LEN.end() + 3]);
     let read = secret::open(&path).and_then(|mut file| {
-        let unreadable = |source| SecretError::Unreadable { path: path.clone(), source };
-        secret::fill(&mut file, octets.as_mut_slice()).map_err(unreadable)
+        let unreadable =
+            |error: io::Error| SecretError::File { path: path.clone(), source: error.into() };
+        file::fill(&mut file, octets.as_mut_slice()).map_err(unreadable)
     });
-    let absent = io::ErrorKind::NotFound;
     match read {
         Ok(read) => {
             let line = &octets[..read];
-            let token = Token::new(line.strip_suffix(b"\n").unwrap_or(line));
-            token.map_err(|error| entry.fault(format!("{path:?}: {error}"), write)).ok()
+            let line = line.strip_suffix(b"\n").unwrap_or(line);
+            let token = Token::new(line.strip_suffix(b"\r").unwrap_or(line));
+            token.map_err(|error| entry.fault(format!("{path:?}: {error}"), write())).ok()
         }
         Err(error) => {
-            let is_absent =
-                matches!(&error, SecretError::Unreadable { source, .. } if source.kind() == absent);
-            entry.fault(error.to_string(), if is_absent { write } else { error.remedy() });
+            let remedy = if error.is_absent() { write() } else { error.remedy() };
+            entry.fault(error.to_string(), remedy);
             None
         }
     }

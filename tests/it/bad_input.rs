@@ -46,7 +46,7 @@ fn a_configuration_that_is_not_there_or_cannot_be_read() {
     let folder = folder("");
     let absent = folder.path().join("absent.toml");
     expect_all(&refused(&absent, None), &["absent.toml: cannot be read: No such file", "--config"]);
-    expect_all(&refused(folder.path(), None), &["cannot be read: Is a directory", "--config"]);
+    expect_all(&refused(folder.path(), None), &["is a folder, not a regular file", "name a file"]);
     let text = folder.path().join("pnet-nat.toml");
     fs::write(&text, b"listen = \"\xFF\"").unwrap();
     expect_all(&refused(&text, None), &["pnet-nat.toml:1: not UTF-8", "save the file as UTF-8"]);
@@ -57,10 +57,10 @@ fn a_configuration_that_is_not_there_or_cannot_be_read() {
 #[test]
 fn a_password_of_7_or_9_octets() {
     let site = Site::claim();
-    for (octets, problem) in [
-        ("s3cr3t-", "has 7 octets, and a password has 8"),
-        ("s3cr3t-AB", "has more than the 8 octets of a password"),
-        ("s3cr3t-A\n", "has a line break after the 8 octets"),
+    for (octets, problem, remedy) in [
+        ("s3cr3t-", "has 7 octets, and a password has 8", "head -c 6 /dev/urandom"),
+        ("s3cr3t-AB", "has more than the 8 octets of a password", "head -c 6 /dev/urandom"),
+        ("s3cr3t-A\n", "has a line break (LF) after the 8 octets", "truncate --size=8 "),
     ] {
         let folder = folder(&site.configuration(&Settings::default()));
         fs::write(folder.path().join("secrets/section-1"), octets).unwrap();
@@ -68,7 +68,7 @@ fn a_password_of_7_or_9_octets() {
         let file = folder.path().join("secrets/section-1");
         let file = file.to_str().unwrap();
         let key = "udp_range_net[0].password[0].file";
-        expect_all(&stderr, &["pnet-nat.toml:", key, file, problem, "printf %s 'PASSWORD'"]);
+        expect_all(&stderr, &["pnet-nat.toml:", key, file, problem, remedy]);
         assert!(!stderr.contains("s3cr3t"), "{stderr}");
     }
 }

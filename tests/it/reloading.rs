@@ -2,16 +2,19 @@
 //! what did is in force at once, and what cannot be leaves everything as it was.
 
 use std::collections::BTreeSet;
-use std::fs::{self, File};
-use std::io::Write;
+use std::fmt::Write;
+use std::fs::{self, Permissions};
 use std::net::UdpSocket;
+use std::os::unix::fs::PermissionsExt;
 use std::os::unix::net::UnixDatagram;
+use std::path::Path;
+use std::process::Command;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::Relaxed};
 use std::thread;
 
 use nix::sys::signal::Signal;
 use nix::sys::stat::Mode;
-use nix::unistd::mkfifo;
+use nix::unistd::{geteuid, mkfifo};
 use serde_json::{Value, json};
 use tempfile::TempDir;
 
@@ -364,9 +367,9 @@ fn a_password_file_in_another_folder_is_refused_with_the_remedy() {
     assert_eq!(relay.reload()["message"], "reload failed");
     let fault = relay.process.logged("configuration fault").pop().unwrap();
     assert_eq!(fault["key"], "udp_range_net[0].password[0].file", "{fault}");
-    assert!(fault["problem"].as_str().unwrap().contains("Permission denied"), "{fault}");
+    assert!(fault["problem"].as_str().unwrap().contains("the relay's confinement"), "{fault}");
     let remedy = fault["remedy"].as_str().unwrap();
-    assert!(remedy.contains("only folders that its configuration named"), "{fault}");
+    assert!(remedy.contains("only the folders in which its files were"), "{fault}");
     assert_eq!(exchange(&client, site.public(4), &node, 4), port);
     relay.reload_to(&first);
     relay.finish();
@@ -498,29 +501,95 @@ fn a_flood_of_hangups_is_a_few_reloads() {
     relay.finish();
 }
 
-/// A service manager may signal whenever it likes: here, while the configuration is being read for
-/// the first time, out of a pipe.
+/// A service manager may signal whenever it likes: here, to a relay that is stopped in its start.
 #[test]
 fn a_hangup_during_the_start_is_a_reload_after_it() {
     let site = Site::claim();
-    let first = site.configuration(&Settings::default());
-    let folder = folder(&first);
+    let folder = folder(&site.configuration(&Settings::default()));
     let file = folder.path().join("pnet-nat.toml");
-    fs::remove_file(&file).unwrap();
-    mkfifo(&file, Mode::S_IRUSR | Mode::S_IWUSR).unwrap();
     let mut process = Process::start(pnet_nat(&["run", "--config", file.to_str().unwrap()]));
-    let mut pipe = File::options().write(true).open(&file).unwrap();
-    process.signal(Signal::SIGHUP);
+    eventually("it takes the signal", || {
+        let status = fs::read_to_string(format!("/proc/{}/status", process.id())).unwrap();
+        let caught = status.lines().find_map(|line| line.strip_prefix("SigCgt:")).unwrap();
+        (u64::from_str_radix(caught.trim(), 16).unwrap() & 1 == 1).then_some(())
+    });
+    process.signal(Signal::SIGSTOP);
     let second = site.configuration(&Settings { net: "max_flows = 5", ..Settings::default() });
-    fs::remove_file(&file).unwrap();
     fs::write(&file, second).unwrap();
-    pipe.write_all(first.as_bytes()).unwrap();
-    drop(pipe);
-    let line = eventually("it reloads", || process.logged("reload").pop());
-    assert_eq!(line["nets_changed"], "section-1", "{line}");
+    process.signal(Signal::SIGHUP);
+    process.signal(Signal::SIGCONT);
+    eventually("it reloads", || process.logged("reload").pop());
     process.signal(Signal::SIGTERM);
     assert_eq!(process.end(), Some(0));
     assert_eq!(process.logged("reload").len(), 1);
+}
+
+/// A name may lead to anything: what is no file is refused, and holds up no later reload.
+#[test]
+fn what_is_no_file_holds_up_no_reload() {
+    let site = Site::claim();
+    let configuration = site.configuration(&Settings::default());
+    let relay = Relay::start(&configuration, site.admin(), None);
+    let (file, secret) = ("pnet-nat.toml", "secrets/section-1");
+    for name in [file, secret] {
+        let path = relay.folder.path().join(name);
+        let octets = fs::read(&path).unwrap();
+        fs::remove_file(&path).unwrap();
+        mkfifo(&path, Mode::S_IRUSR | Mode::S_IWUSR).unwrap();
+        let line = relay.reload();
+        assert_eq!(line["message"], "reload failed", "{line}");
+        let fault = relay.process.logged("configuration fault").pop().unwrap();
+        let problem = fault["problem"].as_str().unwrap();
+        assert!(problem.contains("is a named pipe, not a regular file"), "{fault}");
+        fs::remove_file(&path).unwrap();
+        fs::write(&path, octets).unwrap();
+        fs::set_permissions(&path, Permissions::from_mode(0o600)).unwrap();
+        relay.reload_to(&configuration);
+    }
+    relay.finish();
+}
+
+/// Files that are mounted one by one, as containers are often given them, and then replaced on the
+/// host: what is there stays the old file.
+#[test]
+fn a_mounted_file_that_is_replaced_is_told_from_a_new_one() {
+    let site = Site::claim();
+    let host = tempfile::tempdir().unwrap();
+    let names = ["secrets/section-1", "pnet-nat.toml"];
+    let command = |arguments: &[&str]| {
+        let folder = Path::new(arguments[2]).parent().unwrap();
+        let mut mounts = String::new();
+        for name in names {
+            let (from, to) = (host.path().join(name.replace('/', "-")), folder.join(name));
+            fs::copy(&to, &from).unwrap();
+            writeln!(mounts, "mount --bind {} {}", from.display(), to.display()).unwrap();
+        }
+        let mut command = Command::new("unshare");
+        command.args(["--mount", "sh", "-ec", &(mounts + "exec \"$0\" \"$@\"")]);
+        let relay = pnet_nat(arguments);
+        command.arg(relay.get_program()).args(relay.get_args());
+        command
+    };
+    if !geteuid().is_root() {
+        return left_out("root, to mount files");
+    }
+    let configuration = site.configuration(&Settings::default());
+    let relay = Relay::start_as(&configuration, site.admin(), command);
+    assert_eq!(relay.reload()["message"], "reload");
+    for name in names {
+        let path = host.path().join(name.replace('/', "-"));
+        fs::copy(&path, path.with_extension("new")).unwrap();
+        fs::rename(path.with_extension("new"), path).unwrap();
+        let line = relay.reload();
+        assert_eq!(line["message"], "reload failed", "{line}");
+        let fault = relay.process.logged("configuration fault").pop().unwrap();
+        let file = if name == names[0] { &fault["problem"] } else { &fault["file"] };
+        assert!(file.as_str().unwrap().contains(name), "{fault}");
+        let said = |key: &str, part: &str| fault[key].as_str().unwrap().contains(part);
+        assert!(said("problem", "replaced") && said("problem", "nothing has changed"), "{fault}");
+        assert!(said("remedy", "mount the folder"), "{fault}");
+    }
+    relay.finish();
 }
 
 /// systemd, played by a socket.

@@ -293,13 +293,7 @@ fn a11_refuses_password_files_that_are_not_8_private_octets() {
     refuses(&[
         ("secrets/a", "secrets/seven", 12, file, "has 7 octets"),
         ("secrets/a", "secrets/nine", 12, file, "more than the 8 octets"),
-        (
-            "secrets/a",
-            "secrets/newline",
-            12,
-            file,
-            "without the line break: `(umask 077; printf %s",
-        ),
+        ("secrets/a", "secrets/newline", 12, file, "take it away: `truncate --size=8 "),
         ("secrets/a", "secrets/for-group", 12, file, "run `chmod 600 "),
         ("secrets/a", "secrets/for-others", 12, file, "mode 604"),
         ("secrets/a", "secrets/absent", 12, file, "secrets/absent\" cannot be read"),
@@ -323,6 +317,78 @@ fn a11_refuses_password_files_that_are_not_8_private_octets() {
     ]);
     assert!(read(&changed("secrets/a", "secrets/link")).is_ok());
     assert!(read(&changed("secrets/a", "secrets/any-octets")).is_ok());
+}
+
+/// What is in backticks mends the fault when it is pasted.
+#[test]
+fn the_commands_of_remedies_work_as_they_are_told() {
+    let told = |folder: &Path, text: &str| match read_in(folder, text) {
+        Ok((_, warnings)) => warnings.into_iter().map(|warning| warning.0.remedy).next(),
+        Err(Faults(faults)) => Some(faults[0].remedy.clone()),
+    };
+    for (file, command) in [
+        ("absent", "(umask 077; head -c 6 /dev/urandom | base64 | tr -d '\\n' > "),
+        ("two/folders/absent", "(umask 077; mkdir -p -m 700 -- "),
+        ("it's $HOME/absent", "(umask 077; mkdir -p -m 700 -- '"),
+        ("seven", "(umask 077; head -c 6"),
+        ("nine", "(umask 077; head -c 6"),
+        ("marked", "(umask 077; head -c 6"),
+        ("guessable", "(umask 077; head -c 6"),
+        ("mistyped", "(umask 077; head -c 6"),
+        ("newline", "truncate --size=8 "),
+        ("crlf", "truncate --size=8 "),
+        ("for-group", "chmod 600 -- "),
+        ("for-others", "chmod 600 -- "),
+    ] {
+        let folder = folder();
+        let text = changed("file = \"secrets/a\"", &format!("file = \"secrets/{file}\""));
+        let remedy = told(folder.path(), &text).expect(file);
+        let pasted = remedy.split('`').nth(1).expect("a command");
+        assert!(pasted.starts_with(command), "{file}: {remedy}");
+        assert!(!remedy.contains("PASSWORD"), "{remedy}");
+        let done = std::process::Command::new("sh").args(["-c", pasted]).status().unwrap();
+        assert!(done.success(), "{pasted}");
+        assert_eq!(told(folder.path(), &text), None, "{file}: {pasted}");
+    }
+    for (file, command) in [
+        ("absent", "(umask 077; openssl rand -hex 16 > "),
+        ("two/folders/absent", "(umask 077; mkdir -p -m 700 -- "),
+        ("short-token", "(umask 077; openssl rand -hex 16 > "),
+    ] {
+        let folder = folder();
+        let text = format!("admin.token_file = \"secrets/{file}\"\n{SOUND}");
+        let remedy = told(folder.path(), &text).expect(file);
+        assert!(remedy.contains(command), "{file}: {remedy}");
+    }
+}
+
+/// The servers' own password is known already: no random one helps.
+#[test]
+fn a_device_password_is_typed() {
+    use std::io::Write;
+    let folder = folder();
+    let key = "file = \"secrets/a\"\ndevice_file = \"secrets/own/device\"";
+    let text = changed("file = \"secrets/a\"", key);
+    let Err(Faults(faults)) = read_in(folder.path(), &text) else { panic!("taken") };
+    let pasted = faults[0].remedy.split('`').nth(1).expect("a command");
+    let mut shell = std::process::Command::new("sh");
+    let shell = shell.args(["-c", pasted]).stdin(std::process::Stdio::piped());
+    let mut shell = shell.spawn().unwrap();
+    shell.stdin.take().unwrap().write_all(b"s3cr3t\\A\n").unwrap();
+    assert!(shell.wait().unwrap().success());
+    let (config, _) = read_in(folder.path(), &text).unwrap();
+    let password = config.table.nets()[0].credentials[0].at_server();
+    assert!(bool::from(password.matches(b"s3cr3t\\A")));
+}
+
+#[test]
+fn warns_of_a_password_that_looks_mistyped() {
+    let text = changed("secrets/a", "secrets/mistyped");
+    let (_, warnings) = read(&text).unwrap();
+    let [Warning(warning)] = &warnings[..] else { panic!("{warnings:?}") };
+    assert_eq!(warning.key, "udp_range_net[0].password[0].file");
+    assert!(warning.problem.ends_with("octet 8 is a line break (LF)"), "{warning}");
+    assert!(!warning.to_string().contains("s3cr3t"), "{warning}");
 }
 
 #[test]
@@ -390,7 +456,7 @@ fn refuses_a_token_that_is_none() {
         let message = fault.to_string();
         assert!(message.contains(part) && !message.contains("s3cr3t"), "{message}");
     }
-    for file in ["token", "token-with-newline"] {
+    for file in ["token", "token-with-newline", "token-with-crlf"] {
         let (config, _) = read(&changed("[public]", &token(file))).unwrap();
         assert!(!format!("{config:?}").contains("s3cr3t"));
         let token = config.admin.unwrap().token.unwrap();

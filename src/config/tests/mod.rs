@@ -47,13 +47,17 @@ fn folder() -> TempDir {
     let folder = tempfile::tempdir().unwrap();
     let secrets = folder.path().join("secrets");
     fs::create_dir(&secrets).unwrap();
-    let files: [(&str, &[u8], u32); 14] = [
+    let files: [(&str, &[u8], u32); 18] = [
         ("a", b"s3cr3t-A", 0o600),
         ("b", b"s3cr3t-B", 0o400),
         ("same-as-a", b"s3cr3t-A", 0o600),
         ("seven", b"s3cr3t-", 0o600),
         ("nine", b"s3cr3t-AB", 0o600),
         ("newline", b"s3cr3t-A\n", 0o600),
+        ("crlf", b"s3cr3t-A\r\n", 0o600),
+        ("mistyped", b"s3cr3t-\n", 0o600),
+        ("marked", b"\xef\xbb\xbfs3cr3t-A", 0o600),
+        ("token-with-crlf", b"s3cr3t-0123456789\r\n", 0o600),
         ("guessable", b"Pa55word", 0o600),
         ("for-group", b"s3cr3t-A", 0o620),
         ("for-others", b"s3cr3t-A", 0o604),
