@@ -16,6 +16,7 @@ mod flood;
 mod helping;
 mod in_force;
 mod place;
+mod ports;
 mod prefilter;
 mod public;
 mod reload;

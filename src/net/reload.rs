@@ -96,10 +96,17 @@ impl Router {
         let drops: Vec<Arc<NetDrops>> = drops.collect();
         let upstream_drops = Arc::clone(&old.upstream_drops);
         let before = old.listeners().clone();
-        let listeners = bind::open(&config, &drops, &before, self.workers.len())?;
-        for ((worker, next), before) in self.workers.iter().zip(&listeners).zip(&before) {
-            worker::watch(&worker.epoll, next, before)?;
-        }
+        // No new upstream socket gets in the way of a new public one.
+        self.ports.keep_out_of(&[&old.config, &config]);
+        let opened = bind::open(&config, &drops, &before, self.workers.len()).and_then(|opened| {
+            for ((worker, next), before) in self.workers.iter().zip(&opened).zip(&before) {
+                worker::watch(&worker.epoll, next, before)?;
+            }
+            Ok(opened)
+        });
+        let in_force = if opened.is_ok() { &config } else { &old.config };
+        self.ports.keep_out_of(&[in_force]);
+        let listeners = opened?;
 
         // From here on nothing fails.
         let rules = Rules::new(Arc::clone(&config.table), config.limits);

@@ -23,8 +23,10 @@ use super::bind::{self, StartError};
 use super::descriptors::{self, Plan};
 use super::filtered::NetDrops;
 use super::in_force::InForce;
+use super::ports::Ports;
 use super::public::Listeners;
 use super::reload::LastReload;
+use super::upstream::Shared;
 use super::worker::{self, Command, Parts, Worker};
 
 /// How long a worker may take to tell its flows.
@@ -38,6 +40,8 @@ pub struct Router {
     /// Held while the workers go over to another configuration, or are told to end.
     pub(super) changing: tokio::sync::Mutex<()>,
     audit: Arc<Audit>,
+    /// Of the upstream sockets.
+    pub(super) ports: Arc<Ports>,
     pub(super) workers: Vec<Handle>,
     /// Each is dropped by its worker at its end.
     ends: Mutex<Vec<oneshot::Receiver<()>>>,
@@ -90,26 +94,25 @@ impl Router {
         let plan = descriptors::plan(addresses(&config), config.runtime.workers)?;
         let drops: Vec<Arc<NetDrops>> =
             config.table.nets().iter().map(|_| Arc::default()).collect();
-        let upstream_drops = Arc::default();
         let listeners = bind::open(&config, &drops, &[], plan.workers)?;
         bind::tell_short_buffers(&config, &listeners);
 
         let rules = Rules::new(Arc::clone(&config.table), config.limits);
         let audit = Arc::new(Audit::new(config.runtime.audit_lines));
+        let ports = Arc::new(Ports::new(&config));
+        let upstream_drops: Arc<NetDrops> = Arc::default();
+        let shared = Shared {
+            audit: Arc::clone(&audit),
+            ports: Arc::clone(&ports),
+            drops: Arc::clone(&upstream_drops),
+        };
         let (mut handles, mut counters, mut workers) = (Vec::new(), Vec::new(), Vec::new());
         for listeners in &listeners {
             let counter = Arc::new(Counters::new(&config.table));
             let core =
                 Core::new(rules.clone(), Arc::clone(&counter), started, fastrand::Rng::new());
-            let (handle, worker) = build_worker(
-                &config,
-                core,
-                listeners.clone(),
-                &plan,
-                started,
-                &audit,
-                &upstream_drops,
-            )?;
+            let (handle, worker) =
+                build_worker(&config, core, listeners.clone(), &plan, started, &shared)?;
             handles.push(handle);
             counters.push(counter);
             workers.push(worker);
@@ -120,6 +123,7 @@ impl Router {
             last_reload: Mutex::new(LastReload::succeeded()),
             changing: tokio::sync::Mutex::default(),
             audit,
+            ports,
             workers: handles,
             ends: Mutex::default(),
             ready: AtomicBool::new(false),
@@ -134,12 +138,14 @@ impl Router {
         let counters = (0..workers).map(|_| Arc::new(Counters::new(&config.table))).collect();
         let drops = config.table.nets().iter().map(|_| Arc::default()).collect();
         let audit = Arc::new(Audit::new(config.runtime.audit_lines));
+        let ports = Arc::new(Ports::new(&config));
         let in_force = InForce::new(config, counters, drops, Arc::default(), Vec::new());
         Arc::new(Self {
             in_force: RwLock::new(Arc::new(in_force)),
             last_reload: Mutex::new(LastReload::succeeded()),
             changing: tokio::sync::Mutex::default(),
             audit,
+            ports,
             workers: Vec::new(),
             ends: Mutex::default(),
             ready: AtomicBool::new(false),
@@ -243,8 +249,7 @@ fn build_worker(
     listeners: Listeners,
     plan: &Plan,
     started: Instant,
-    audit: &Arc<Audit>,
-    upstream_drops: &Arc<NetDrops>,
+    shared: &Shared,
 ) -> Result<(Handle, Worker), StartError> {
     let epoll = Arc::new(Epoll::new(EpollCreateFlags::EPOLL_CLOEXEC).map_err(io::Error::from)?);
     worker::watch(&epoll, &listeners, &Listeners::default())?;
@@ -256,8 +261,7 @@ fn build_worker(
         core,
         listeners,
         table: Arc::clone(&config.table),
-        audit: Arc::clone(audit),
-        upstream_drops: Arc::clone(upstream_drops),
+        shared: shared.clone(),
         upstream_limit: plan.upstreams,
         runtime: config.runtime.clone(),
         started,

@@ -7,11 +7,13 @@
 use std::io;
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
 use std::os::fd::AsRawFd;
+use std::sync::Arc;
 
 use nix::errno::Errno;
 use nix::sys::socket::{setsockopt, sockopt};
 use socket2::{Domain, Protocol, Socket, Type};
 
+use super::ports::{Port, Ports};
 use super::steer;
 
 /// Octets of send buffer to ask the kernel for, for each upstream socket; `sysctl
@@ -49,14 +51,17 @@ pub(super) fn public(
     Ok(sockets)
 }
 
-/// Opens a socket towards servers, on a port that the kernel picks at random, and tells the port.
-pub(super) fn upstream(ipv4: bool, receive_buffer: usize) -> io::Result<(Socket, u16)> {
+/// Opens a socket towards servers, on one of these ports.
+pub(super) fn upstream(
+    ipv4: bool,
+    receive_buffer: usize,
+    ports: &Arc<Ports>,
+) -> io::Result<(Socket, Port)> {
     let socket = udp(ipv4, receive_buffer)?;
     socket.set_send_buffer_size(SEND_BUFFER)?;
     let any: IpAddr =
         if ipv4 { Ipv4Addr::UNSPECIFIED.into() } else { Ipv6Addr::UNSPECIFIED.into() };
-    socket.bind(&SocketAddr::new(any, 0).into())?;
-    let port = socket.local_addr()?.as_socket().map_or(0, |address| address.port());
+    let port = ports.bind(&socket, any)?;
     Ok((socket, port))
 }
 

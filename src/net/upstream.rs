@@ -19,11 +19,13 @@ use super::complaints::Complaints;
 use super::filtered::{FilteredSocket, NetDrops};
 use super::flood::FloodWatch;
 use super::place::Place;
+use super::ports::{Port, Ports};
 use super::{socket, strays};
 
 /// The upstream sockets, and with them the core's [`Shell`].
 pub(super) struct UpstreamSockets {
     epoll: Arc<Epoll>,
+    shared: Shared,
     /// By [`UpstreamId`].
     sockets: Vec<Option<Upstream>>,
     open: usize,
@@ -33,16 +35,25 @@ pub(super) struct UpstreamSockets {
     /// Whether the kernel may refuse strays.
     filters: bool,
     table: Arc<Table>,
-    audit: Arc<Audit>,
-    drops: Arc<NetDrops>,
     started: Instant,
     complaints: Complaints,
+}
+
+/// What the workers have in common.
+#[derive(Clone, Debug)]
+pub(super) struct Shared {
+    pub audit: Arc<Audit>,
+    pub ports: Arc<Ports>,
+    /// What the kernel dropped on the upstream sockets.
+    pub drops: Arc<NetDrops>,
 }
 
 #[derive(Debug)]
 struct Upstream {
     /// Filtered: the kernel refuses strays.
     socket: FilteredSocket,
+    /// Given back when the socket is closed.
+    _port: Port,
     ipv4: bool,
     strays: FloodWatch,
 }
@@ -51,15 +62,15 @@ impl UpstreamSockets {
     /// No sockets, and at most `limit` of them ever; `epoll` will tell of what arrives.
     pub(super) fn new(
         epoll: Arc<Epoll>,
+        shared: Shared,
         limit: usize,
         runtime: &Runtime,
         started: Instant,
         table: Arc<Table>,
-        audit: Arc<Audit>,
-        drops: Arc<NetDrops>,
     ) -> Self {
         Self {
             epoll,
+            shared,
             sockets: Vec::new(),
             open: 0,
             flows_closed: 0,
@@ -67,8 +78,6 @@ impl UpstreamSockets {
             receive_buffer: runtime.receive_buffer,
             filters: runtime.prefilter != Prefilter::Off,
             table,
-            audit,
-            drops,
             started,
             complaints: Complaints::default(),
         }
@@ -90,8 +99,9 @@ impl UpstreamSockets {
             LazyCell::new(|| self.filters.then(|| strays::program(&table)).and_then(Result::ok));
         let sockets = self.sockets.iter().flatten().map(|upstream| &upstream.socket);
         for socket in sockets.filter(|socket| socket.is_filtered()) {
-            let kept = program.is_some() && socket.filter(program.as_ref(), &self.drops).is_ok();
-            if !kept && let Err(error) = socket.filter(None, &self.drops) {
+            let kept =
+                program.is_some() && socket.filter(program.as_ref(), &self.shared.drops).is_ok();
+            if !kept && let Err(error) = socket.filter(None, &self.shared.drops) {
                 self.complaints.note(&error, "cannot let strays through");
             }
         }
@@ -119,7 +129,7 @@ impl UpstreamSockets {
         {
             return;
         }
-        let refuse = |program| upstream.socket.filter(Some(&program), &self.drops);
+        let refuse = |program| upstream.socket.filter(Some(&program), &self.shared.drops);
         match strays::program(&self.table).and_then(refuse) {
             Err(error) => self.complaints.note(&error, "cannot refuse strays"),
             Ok(()) if self.complaints.due(now, "flood") => {
@@ -134,10 +144,10 @@ impl UpstreamSockets {
     pub(super) fn account(&mut self) {
         for upstream in self.sockets.iter_mut().flatten() {
             let Upstream { socket, strays, .. } = upstream;
-            if let Some(figure) = socket.account(&self.drops)
+            if let Some(figure) = socket.account(&self.shared.drops)
                 && socket.is_filtered()
                 && strays.over(figure)
-                && let Err(error) = socket.filter(None, &self.drops)
+                && let Err(error) = socket.filter(None, &self.shared.drops)
             {
                 self.complaints.note(&error, "cannot let strays through");
             }
@@ -145,19 +155,21 @@ impl UpstreamSockets {
     }
 
     fn open(&mut self, id: UpstreamId, ipv4: bool) -> io::Result<u16> {
-        let (socket, port) = socket::upstream(ipv4, self.receive_buffer)?;
+        let (socket, port) = socket::upstream(ipv4, self.receive_buffer, &self.shared.ports)?;
         self.epoll.add(&socket, Place::Upstream(id).arrivals())?;
         let index = id.0 as usize;
         if self.sockets.len() <= index {
             self.sockets.resize_with(index + 1, || None);
         }
+        let number = port.number();
         self.sockets[index] = Some(Upstream {
             socket: FilteredSocket::new(socket),
+            _port: port,
             ipv4,
             strays: FloodWatch::default(),
         });
         self.open += 1;
-        Ok(port)
+        Ok(number)
     }
 }
 
@@ -178,25 +190,25 @@ impl Shell for UpstreamSockets {
     fn close_upstream(&mut self, id: UpstreamId) {
         // Closing takes it out of epoll.
         if let Some(upstream) = self.sockets[id.0 as usize].take() {
-            upstream.socket.account(&self.drops);
+            upstream.socket.account(&self.shared.drops);
             self.open -= 1;
         }
     }
 
     fn flow_opened(&mut self, flow: &FlowRecord) {
-        self.audit.flow_opened(&self.table, flow);
+        self.shared.audit.flow_opened(&self.table, flow);
     }
 
     fn flow_closed(&mut self, flow: &FlowRecord, reason: CloseReason) {
         self.flows_closed += 1;
-        self.audit.flow_closed(&self.table, flow, reason);
+        self.shared.audit.flow_closed(&self.table, flow, reason);
     }
 
     fn throttling_begun(&mut self, throttled: &Throttled, mapping: MappingId) {
-        self.audit.throttling_begun(&self.table, throttled, mapping);
+        self.shared.audit.throttling_begun(&self.table, throttled, mapping);
     }
 
     fn throttling_ended(&mut self, throttled: &Throttled) {
-        self.audit.throttling_ended(throttled);
+        self.shared.audit.throttling_ended(throttled);
     }
 }

@@ -21,19 +21,17 @@ use crate::relay::{
     UpstreamId,
 };
 
-use super::audit::Audit;
 use super::batch::{Batch, Tag};
 use super::bind::StartError;
 use super::busy::BusyPoll;
 use super::complaints::Complaints;
-use super::filtered::NetDrops;
 use super::flood::FloodGuard;
 use super::helping::Helpings;
 use super::place::Place;
 use super::prefilter;
 use super::public::{Listener, Listeners};
 use super::tick::Ticker;
-use super::upstream::UpstreamSockets;
+use super::upstream::{Shared, UpstreamSockets};
 use super::wait::wait;
 
 /// How long a stopping worker waits for one more answer before it looks whether any is due.
@@ -91,8 +89,7 @@ pub(super) struct Parts {
     /// Watched by `epoll` already.
     pub listeners: Listeners,
     pub table: Arc<Table>,
-    pub audit: Arc<Audit>,
-    pub upstream_drops: Arc<NetDrops>,
+    pub shared: Shared,
     pub upstream_limit: usize,
     pub runtime: Runtime,
     pub started: Instant,
@@ -126,12 +123,11 @@ impl Worker {
             listeners: parts.listeners,
             upstream: UpstreamSockets::new(
                 Arc::clone(&parts.epoll),
+                parts.shared,
                 parts.upstream_limit,
                 &parts.runtime,
                 parts.started,
                 parts.table,
-                parts.audit,
-                parts.upstream_drops,
             ),
             epoll: parts.epoll,
             batch: Batch::new(),

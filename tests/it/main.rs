@@ -32,5 +32,6 @@ mod status;
 mod status_page;
 mod stopping;
 mod tunnel;
+mod upstream_ports;
 mod watching;
 mod wireshark;
