@@ -40,14 +40,19 @@ pub(super) struct Flow {
 }
 
 /// The answers that a flow waits for.
+///
+/// An answer does not tell which request it belongs to, and one that was lost looks like one that is
+/// late. So an answer is taken for that to an old request as long as there is one, and the count of
+/// those that are due is never too low.
 #[derive(Debug, Default)]
 pub(super) struct Answers {
     /// When the oldest request went out that has none yet; 0: there is none.
     unanswered: Nanos,
-    /// How many may still come, to requests since `due_since`. One that was lost looks like one
-    /// that is late, so this is an upper bound.
-    due: u32,
-    due_since: Nanos,
+    /// Due to requests of the `LOST_AFTER` that began then.
+    newer: u32,
+    newer_since: Nanos,
+    /// Due to requests of the `LOST_AFTER` before.
+    older: u32,
 }
 
 /// What logs and the API tell of a flow.
@@ -72,10 +77,14 @@ pub struct FlowRecord {
 impl Answers {
     /// A request went out that wants an answer.
     pub(super) fn asked(&mut self, now: Nanos) {
-        if self.due == 0 || now - self.due_since >= LOST_AFTER {
-            (self.due, self.due_since) = (0, now);
+        let age = now - self.newer_since;
+        if age >= 2 * LOST_AFTER {
+            (self.older, self.newer, self.newer_since) = (0, 0, now);
+        } else if age >= LOST_AFTER {
+            self.older = std::mem::take(&mut self.newer);
+            self.newer_since += LOST_AFTER;
         }
-        self.due = self.due.saturating_add(1);
+        self.newer = self.newer.saturating_add(1);
         if self.unanswered == 0 || now - self.unanswered >= LOST_AFTER {
             self.unanswered = now;
         }
@@ -83,18 +92,26 @@ impl Answers {
 
     /// An answer came; returns how long the oldest request without one has waited.
     pub(super) fn came(&mut self, now: Nanos) -> Option<Duration> {
-        self.due = self.due.saturating_sub(1);
+        match self.older {
+            0 => self.newer = self.newer.saturating_sub(1),
+            _ => self.older -= 1,
+        }
         match std::mem::take(&mut self.unanswered) {
             0 => None,
             asked => Some(Duration::from_nanos(now - asked)),
         }
+    }
+
+    /// How many may still come, at least.
+    fn due(&self) -> u64 {
+        u64::from(self.older) + u64::from(self.newer)
     }
 }
 
 impl Flow {
     /// Whether an answer may still come.
     pub(super) fn awaits_answers(&self, now: Nanos) -> bool {
-        self.answers.due > 0 && now - self.last_used < LOST_AFTER
+        self.answers.due() > 0 && now - self.last_used < LOST_AFTER
     }
 
     pub(super) fn record(&self, now: Nanos) -> FlowRecord {
@@ -107,5 +124,73 @@ impl Flow {
             age: Duration::from_nanos(now - self.opened),
             idle: Duration::from_nanos(now - self.last_used),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    const SECOND: Nanos = 1_000_000_000;
+
+    #[derive(Clone, Copy, Debug)]
+    enum Event {
+        Asked,
+        /// The answer to one of the requests under way.
+        Came(prop::sample::Index),
+    }
+
+    fn events() -> impl Strategy<Value = Vec<(Nanos, Event)>> {
+        let event = prop_oneof![
+            3 => Just(Event::Asked),
+            2 => any::<prop::sample::Index>().prop_map(Event::Came),
+        ];
+        // Close together, around the limit, and far apart.
+        let pause =
+            prop_oneof![0..SECOND, 4 * SECOND..6 * SECOND, 9 * SECOND..11 * SECOND, 0..40 * SECOND];
+        prop::collection::vec((pause, event), 0..60)
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig { failure_persistence: None, ..Default::default() })]
+        #[test]
+        fn requests_under_way_are_never_counted_too_low(events in events()) {
+            let mut answers = Answers::default();
+            let mut under_way: Vec<Nanos> = Vec::new();
+            let mut asked: Vec<Nanos> = Vec::new();
+            let mut now = 1;
+            for (pause, event) in events {
+                now += pause;
+                under_way.retain(|&at| now - at < LOST_AFTER);
+                match event {
+                    Event::Asked => {
+                        answers.asked(now);
+                        under_way.push(now);
+                        asked.push(now);
+                    }
+                    Event::Came(_) if under_way.is_empty() => {}
+                    Event::Came(index) => {
+                        under_way.remove(index.index(under_way.len()));
+                        answers.came(now);
+                    }
+                }
+                prop_assert!(answers.due() >= under_way.len() as u64, "{answers:?} {under_way:?}");
+                let newest = asked.iter().filter(|&&at| now - at < 3 * LOST_AFTER).count();
+                let idle = asked.last().is_none_or(|&at| now - at >= LOST_AFTER);
+                prop_assert!(idle || answers.due() <= newest as u64, "bounded");
+            }
+        }
+    }
+
+    #[test]
+    fn an_answer_is_that_to_an_old_request_as_long_as_there_is_one() {
+        let mut answers = Answers::default();
+        for asked in [1, 10 * SECOND - 10_000_000, 10 * SECOND + 1] {
+            answers.asked(asked);
+        }
+        answers.came(10 * SECOND + 10_000_000);
+        assert!(answers.due() >= 1, "{answers:?}: two were asked within the last second");
     }
 }
