@@ -10,8 +10,9 @@ use std::time::{Duration, Instant};
 
 use fastrand::Rng;
 use pnet_nat::relay::{
-    Arrival, CloseReason, Core, Counters, Credential, FlowRecord, Limits, ListenerId, Mapping,
-    MappingId, Net, NetId, NetKind, RequestRate, Rules, Shell, Table, ToServer, UpstreamId,
+    Arrival, Chance, CloseReason, Core, Counters, Credential, FlowRecord, Limits, ListenerId,
+    Mapping, MappingId, Net, NetId, NetKind, RequestRate, Rules, Shell, Table, ToServer,
+    UpstreamId,
 };
 use pnet_nat::wire::{Header, Password};
 
@@ -121,7 +122,7 @@ impl Rig {
             wrong_password_interval: Duration::from_secs(6),
         };
         let now = Instant::now();
-        let core = Core::new(Rules::new(table, limits), counters, now, Rng::with_seed(1));
+        let core = Core::new(Rules::new(table, limits), counters, now, Chance::from_seed(1));
         Self { core, shell: NoSockets { open: 0, limit: site.sockets }, now }
     }
 

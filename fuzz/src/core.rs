@@ -12,10 +12,9 @@ use std::net::{IpAddr, SocketAddr};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use fastrand::Rng;
 use pnet_nat::relay::{
-    Arrival, CloseReason, Core, Counters, Direction, DropReason, FlowRecord, ListenerId, MappingId,
-    Rules, Shell, Table, Throttled, ToClient, UpstreamId,
+    Arrival, Chance, CloseReason, Core, Counters, Direction, DropReason, FlowRecord, ListenerId,
+    MappingId, Rules, Shell, Table, Throttled, ToClient, UpstreamId,
 };
 use pnet_nat::wire::{BNA, Datagram, Header, Password};
 
@@ -115,7 +114,7 @@ impl World {
         let now = Instant::now();
         let rules = tables::rules(input);
         let counters = Arc::new(Counters::new(&rules.table));
-        let core = Core::new(rules.clone(), Arc::clone(&counters), now, Rng::with_seed(1));
+        let core = Core::new(rules.clone(), Arc::clone(&counters), now, Chance::from_seed(1));
         let sockets = Sockets { limit: 8, ..Sockets::default() };
         let flows_before_reload = vec![0; rules.table.nets().len() + 1];
         let (at_nodes, users) = (Vec::new(), HashMap::new());

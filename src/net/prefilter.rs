@@ -138,8 +138,8 @@ mod tests {
 
     use super::*;
     use crate::relay::{
-        Arrival, CloseReason, Core, Counters, Credential, FlowRecord, Limits, ListenerId, Mapping,
-        MappingId, NetKind, Rules, Shell, ToServer, UpstreamId,
+        Arrival, Chance, CloseReason, Core, Counters, Credential, FlowRecord, Limits, ListenerId,
+        Mapping, MappingId, NetKind, Rules, Shell, ToServer, UpstreamId,
     };
 
     fn net(passwords: &[[u8; 8]], allow_without_password: bool) -> Net {
@@ -216,7 +216,7 @@ mod tests {
             };
             let rules = Rules::new(Arc::new(table), limits);
             let counters = Arc::new(Counters::new(&rules.table));
-            let core = Core::new(rules, counters, Instant::now(), fastrand::Rng::new());
+            let core = Core::new(rules, counters, Instant::now(), Chance::from_seed(0));
             let arrival = Arrival {
                 listener: ListenerId(0),
                 mapping: MappingId(0),

@@ -15,7 +15,7 @@ use tokio::sync::oneshot;
 use tokio::time::timeout;
 
 use crate::config::Config;
-use crate::relay::{Core, Counters, FlowRecord, Rules, Table};
+use crate::relay::{Chance, Core, Counters, FlowRecord, Rules, Table};
 use crate::thread;
 
 use super::audit::Audit;
@@ -110,7 +110,7 @@ impl Router {
         for listeners in &listeners {
             let counter = Arc::new(Counters::new(&config.table));
             let core =
-                Core::new(rules.clone(), Arc::clone(&counter), started, fastrand::Rng::new());
+                Core::new(rules.clone(), Arc::clone(&counter), started, Chance::of_the_system());
             let (handle, worker) =
                 build_worker(&config, core, listeners.clone(), &plan, started, &shared)?;
             handles.push(handle);

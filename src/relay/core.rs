@@ -12,6 +12,7 @@ use foldhash::fast::FixedState;
 
 use crate::wire;
 
+use super::chance::Chance;
 use super::check::{self, Request};
 use super::counters::Counters;
 use super::flow::{Answers, Endpoints, Flow, FlowRecord, Nanos};
@@ -76,19 +77,15 @@ pub struct Core {
 
 impl Core {
     /// A core without flows, whose `counters` are those of the rules' table. `start` is when the
-    /// router started; `random` decides which open socket a new client shares.
-    pub fn new(
-        rules: Rules,
-        counters: Arc<Counters>,
-        start: Instant,
-        random: fastrand::Rng,
-    ) -> Self {
-        let throttle = Throttle::new(&rules.limits);
+    /// router started.
+    pub fn new(rules: Rules, counters: Arc<Counters>, start: Instant, chance: Chance) -> Self {
+        let Chance { hash, choice } = chance;
+        let throttle = Throttle::new(&rules.limits, hash.clone());
         Self {
             rules,
             counters,
-            flows: Flows::default(),
-            upstreams: Upstreams::new(random),
+            flows: Flows::new(hash.clone()),
+            upstreams: Upstreams::new(hash, choice),
             throttle,
             start,
         }

@@ -6,7 +6,7 @@
 use std::hash::BuildHasher;
 use std::net::SocketAddr;
 
-use foldhash::fast::RandomState;
+use foldhash::fast::SeedableRandomState;
 use hashbrown::HashTable;
 use slab::Slab;
 
@@ -15,15 +15,24 @@ use super::ids::{FlowId, UpstreamId};
 use super::table::Table;
 
 /// Flows by number, by client, and by server.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub(super) struct Flows {
     flows: Slab<Flow>,
     by_endpoints: HashTable<FlowId>,
     by_server: HashTable<FlowId>,
-    hash: RandomState,
+    hash: SeedableRandomState,
 }
 
 impl Flows {
+    pub(super) fn new(hash: SeedableRandomState) -> Self {
+        Self {
+            flows: Slab::new(),
+            by_endpoints: HashTable::new(),
+            by_server: HashTable::new(),
+            hash,
+        }
+    }
+
     /// The flow that a request belongs to.
     #[inline]
     pub(super) fn of_request(&self, endpoints: &Endpoints) -> Option<FlowId> {

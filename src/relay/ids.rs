@@ -20,7 +20,7 @@ impl FlowId {
 pub struct ListenerId(pub u32);
 
 /// Index of an upstream socket.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct UpstreamId(pub u32);
 
 impl UpstreamId {

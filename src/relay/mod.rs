@@ -3,6 +3,7 @@
 //! Time and randomness come in as arguments; there is no socket, no clock and no lock here.
 
 mod budget;
+mod chance;
 mod check;
 mod core;
 mod counters;
@@ -26,6 +27,7 @@ mod throttled;
 mod upstream;
 
 pub use budget::Budget;
+pub use chance::Chance;
 pub use core::{Arrival, Core, ToClient, ToServer};
 pub use counters::{Counter, Counters, DirectionCounters, NetCounters, NodeCounters};
 pub use flow::FlowRecord;

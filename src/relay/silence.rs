@@ -74,8 +74,7 @@ impl World {
         let table = Arc::new(Table::new(Header::default(), vec![net], vec![mapping]));
         let counters = Arc::new(Counters::new(&table));
         let now = Instant::now();
-        let random = fastrand::Rng::with_seed(0);
-        let mut core = Core::new(Rules::new(table, limits), counters, now, random);
+        let mut core = Core::new(Rules::new(table, limits), counters, now, Chance::from_seed(0));
 
         let route = DlRoute::new(&[11, 4, 2], &[11, 3]).unwrap().to_route().unwrap();
         let mut octets = Header::default().0.to_vec();

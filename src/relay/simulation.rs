@@ -4,8 +4,11 @@
 //! A failing run prints its seed; `SIMULATION_SEED=… cargo test simulation` replays it. What the
 //! simulation believes about a datagram comes from how it made it, never from the code under test.
 
-use std::collections::HashMap;
+use std::collections::BTreeMap;
+use std::fmt::Debug;
+use std::hash::{DefaultHasher, Hasher};
 use std::net::{IpAddr, SocketAddr};
+use std::process::Command;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -70,7 +73,7 @@ struct Lasting {
 }
 
 /// What may have a limit of requests.
-#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Limited {
     Net(String),
     /// Client, public address and public port.
@@ -81,7 +84,7 @@ enum Limited {
 struct FakeShell {
     rng: Rng,
     limit: usize,
-    ports: HashMap<UpstreamId, u16>,
+    ports: BTreeMap<UpstreamId, u16>,
     opened_flows: usize,
     closed_flows: usize,
     /// Throttlings that have begun and not ended.
@@ -139,12 +142,14 @@ struct World {
     flows_before_reload: Vec<u64>,
     reloaded: Instant,
     /// When requests passed in the last second: of each net, and of each flow.
-    passed: HashMap<Limited, Vec<Instant>>,
+    passed: BTreeMap<Limited, Vec<Instant>>,
     workers: Vec<Worker>,
     under_way: Vec<Asked>,
     /// Who used a (worker, upstream port, server) last, and when (N-9).
-    users: HashMap<(usize, u16, SocketAddr), (SocketAddr, Instant)>,
+    users: BTreeMap<(usize, u16, SocketAddr), (SocketAddr, Instant)>,
     next_number: u32,
+    /// Of all verdicts so far.
+    digest: DefaultHasher,
     forwarded: usize,
     delivered: usize,
     reasons: [usize; DropReason::COUNT],
@@ -230,11 +235,16 @@ impl World {
         let workers = (0..2)
             .map(|_| {
                 let counters = Arc::new(Counters::new(&rules.table));
-                let core = Core::new(rules.clone(), Arc::clone(&counters), now, rng.fork());
+                let core = Core::new(
+                    rules.clone(),
+                    Arc::clone(&counters),
+                    now,
+                    Chance::from_seed(rng.u64(..)),
+                );
                 let shell = FakeShell {
                     rng: rng.fork(),
                     limit: 8,
-                    ports: HashMap::new(),
+                    ports: BTreeMap::new(),
                     opened_flows: 0,
                     closed_flows: 0,
                     throttled: 0,
@@ -248,11 +258,12 @@ impl World {
             flows_before_reload: vec![0; rules.table.nets().len() + 1],
             rules,
             reloaded: now,
-            passed: HashMap::new(),
+            passed: BTreeMap::new(),
             workers,
             under_way: Vec::new(),
-            users: HashMap::new(),
+            users: BTreeMap::new(),
             next_number: 0,
+            digest: DefaultHasher::new(),
             forwarded: 0,
             delivered: 0,
             reasons: [0; DropReason::COUNT],
@@ -398,6 +409,7 @@ impl World {
                 == (arrival.client, arrival.public_address, arrival.mapping)
         });
         let verdict = core.request(self.now, &arrival, &mut passed, shell);
+        note(&mut self.digest, &(arrival, verdict, &passed));
         if let Err(reason) = verdict {
             self.reasons[reason as usize] += 1;
         }
@@ -550,6 +562,7 @@ impl World {
     ) -> Result<ToClient, DropReason> {
         let Worker { core, shell, .. } = &mut self.workers[worker];
         let verdict = core.response(self.now, via, server, octets);
+        note(&mut self.digest, &(via, server, verdict, &octets));
         match verdict {
             Ok(to) => {
                 core.sent(to.mapping, Direction::Response, octets.len());
@@ -637,6 +650,11 @@ impl World {
     }
 }
 
+/// Adds to a digest what was seen.
+fn note(digest: &mut DefaultHasher, seen: &impl Debug) {
+    digest.write(format!("{seen:?}").as_bytes());
+}
+
 fn lasting(table: &Table, flow: &FlowRecord) -> Lasting {
     let mapping = table.mapping(flow.mapping);
     let net = table.net(mapping.net);
@@ -685,8 +703,8 @@ fn run(seed: u64) -> World {
 #[test]
 fn simulation_holds_the_rules_after_every_step() {
     if let Ok(seed) = std::env::var("SIMULATION_SEED") {
-        run(seed.parse().expect("SIMULATION_SEED is a number"));
-        return;
+        let world = run(seed.parse().expect("SIMULATION_SEED is a number"));
+        return println!("digest {:016x}", world.digest.finish());
     }
     let (mut forwarded, mut delivered, mut reasons) = (0, 0, [0; DropReason::COUNT]);
     for _ in 0..RUNS {
@@ -703,4 +721,18 @@ fn simulation_holds_the_rules_after_every_step() {
             "{reason:?} never happened"
         );
     }
+}
+
+/// Or a seed that a failing run prints would be of no use.
+#[test]
+fn one_seed_is_one_path_in_every_process() {
+    let digest = || {
+        let test = "relay::simulation::simulation_holds_the_rules_after_every_step";
+        let mut replay = Command::new(std::env::current_exe().unwrap());
+        replay.args(["--exact", test, "--nocapture"]).env("SIMULATION_SEED", "62412");
+        let output = String::from_utf8(replay.output().unwrap().stdout).unwrap();
+        let digest = output.lines().find_map(|line| Some(line.split_once("digest ")?.1.to_owned()));
+        digest.unwrap_or_else(|| panic!("{output}"))
+    };
+    assert_eq!(digest(), digest());
 }

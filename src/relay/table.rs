@@ -6,6 +6,7 @@ use std::collections::HashMap;
 use std::net::{IpAddr, SocketAddr};
 use std::time::Duration;
 
+use foldhash::fast::FixedState;
 use ipnet::IpNet;
 use subtle::ConditionallySelectable;
 
@@ -132,7 +133,8 @@ pub struct Table {
     mappings: Vec<Mapping>,
     /// Net by net.
     by_net: Vec<MappingId>,
-    by_server: HashMap<SocketAddr, MappingId, foldhash::fast::RandomState>,
+    /// Only looked up in, by addresses that the operator has written.
+    by_server: HashMap<SocketAddr, MappingId, FixedState>,
 }
 
 impl Table {

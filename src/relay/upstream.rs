@@ -10,7 +10,7 @@
 use std::collections::{HashMap, VecDeque};
 use std::net::{IpAddr, SocketAddr};
 
-use foldhash::fast::RandomState;
+use foldhash::fast::SeedableRandomState;
 use slab::Slab;
 
 use super::flow::Nanos;
@@ -42,8 +42,8 @@ pub(super) struct Upstreams {
     sockets: Slab<Socket>,
     /// The keys of `sockets`, dense, to pick from.
     open: Vec<UpstreamId>,
-    pairs: HashMap<(UpstreamId, SocketAddr), Pair, RandomState>,
-    homes: HashMap<(SocketAddr, IpAddr), Home, RandomState>,
+    pairs: HashMap<(UpstreamId, SocketAddr), Pair, SeedableRandomState>,
+    homes: HashMap<(SocketAddr, IpAddr), Home, SeedableRandomState>,
     /// When the pairs that were given up will have rested, in that order. One that was taken up
     /// again since is still here.
     resting: VecDeque<(Nanos, UpstreamId, SocketAddr)>,
@@ -83,12 +83,12 @@ struct Home {
 }
 
 impl Upstreams {
-    pub(super) fn new(random: fastrand::Rng) -> Self {
+    pub(super) fn new(hash: SeedableRandomState, random: fastrand::Rng) -> Self {
         Self {
             sockets: Slab::new(),
             open: Vec::new(),
-            pairs: HashMap::default(),
-            homes: HashMap::default(),
+            pairs: HashMap::with_hasher(hash.clone()),
+            homes: HashMap::with_hasher(hash),
             resting: VecDeque::new(),
             random,
         }

@@ -14,6 +14,8 @@ use std::hash::{BuildHasher, Hasher};
 use std::net::{IpAddr, SocketAddr};
 use std::time::Duration;
 
+use foldhash::fast::SeedableRandomState;
+
 use super::flow::Nanos;
 use super::shell::Shell;
 use super::table::{Limits, MappingId};
@@ -25,7 +27,7 @@ const WAYS: usize = 4;
 /// The buckets of those who sent a wrong password.
 #[derive(Debug)]
 pub(super) struct Throttle {
-    hash: foldhash::fast::RandomState,
+    hash: SeedableRandomState,
     addresses: Buckets,
     senders: Buckets,
     /// Whether somebody may owe more than the limits let anybody owe: they are other ones than when
@@ -71,9 +73,9 @@ struct Record {
 }
 
 impl Throttle {
-    pub(super) fn new(limits: &Limits) -> Self {
+    pub(super) fn new(limits: &Limits, hash: SeedableRandomState) -> Self {
         Self {
-            hash: foldhash::fast::RandomState::default(),
+            hash,
             addresses: Buckets::new(ThrottleScope::Address, limits),
             senders: Buckets::new(ThrottleScope::Sender, limits),
             clamp_is_due: false,
