@@ -143,9 +143,9 @@ fn flow(group: &mut Group) {
         bencher.iter(|| {
             black_box(rig.open(0, 1));
             rig.now += IDLE_TIMEOUT;
-            rig.core.expire(rig.now, &mut rig.shell);
+            rig.expire();
             rig.now += REST;
-            rig.core.expire(rig.now, &mut rig.shell);
+            rig.expire();
         });
     });
     assert!(rig.core.is_idle());

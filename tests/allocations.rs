@@ -203,7 +203,7 @@ fn a_million_guessers_cost_no_allocation() {
                 assert!(verdict.is_err());
             }
             if number % 10_000 == 0 {
-                rig.core.expire(rig.now, &mut rig.shell);
+                rig.expire();
             }
         }
     });
@@ -304,7 +304,7 @@ fn memory_of_100_000_flows() {
     // Closed, and rested.
     rig.core.shut_down(rig.now, &mut rig.shell);
     rig.now += REST;
-    rig.core.expire(rig.now, &mut rig.shell);
+    rig.expire();
     assert!(rig.core.is_idle());
 }
 

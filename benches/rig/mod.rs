@@ -82,9 +82,9 @@ impl Shell for NoSockets {
         self.open -= 1;
     }
 
-    fn flow_opened(&mut self, _: &FlowRecord) {}
+    fn flow_opened(&mut self, _: &Table, _: &FlowRecord) {}
 
-    fn flow_closed(&mut self, _: &FlowRecord, _: CloseReason) {}
+    fn flow_closed(&mut self, _: &Table, _: &FlowRecord, _: CloseReason) {}
 }
 
 impl Rig {
@@ -124,6 +124,11 @@ impl Rig {
         let now = Instant::now();
         let core = Core::new(Rules::new(table, limits), counters, now, Chance::from_seed(1));
         Self { core, shell: NoSockets { open: 0, limit: site.sockets }, now }
+    }
+
+    /// Closes whatever is to be closed by now.
+    pub(crate) fn expire(&mut self) {
+        while self.core.expire(self.now, &mut self.shell) {}
     }
 
     /// Opens flow `number` with its first request.

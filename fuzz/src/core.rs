@@ -7,14 +7,15 @@
 mod input;
 mod tables;
 
-use std::collections::HashMap;
+use std::collections::{BTreeSet, HashMap};
 use std::net::{IpAddr, SocketAddr};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use pnet_nat::relay::{
     Arrival, Chance, CloseReason, Core, Counters, Direction, DropReason, FlowRecord, ListenerId,
-    MappingId, Rules, Shell, Table, Throttled, ToClient, UpstreamId,
+    Mapping, MappingId, Rules, Shell, Succession, Table, Throttled, ToClient, Transition,
+    UpstreamId,
 };
 use pnet_nat::wire::{BNA, Datagram, Header, Password};
 
@@ -55,6 +56,8 @@ struct World {
     sockets: Sockets,
     now: Instant,
     rules: Rules,
+    /// Some flows may not have gone over to the rules.
+    going_over: bool,
     /// Places in use that a lower limit came too late for: of each net, and of all.
     flows_before_reload: Vec<usize>,
     /// What nodes got, and through which socket.
@@ -71,7 +74,7 @@ struct Sockets {
     opened_flows: usize,
     closed_flows: usize,
     /// Since it was last looked at.
-    just_closed: Vec<FlowRecord>,
+    just_closed: Vec<(u16, SocketAddr, SocketAddr)>,
     throttled: usize,
 }
 
@@ -90,14 +93,15 @@ impl Shell for Sockets {
         self.ports.remove(&id).expect("closes what it opened");
     }
 
-    fn flow_opened(&mut self, flow: &FlowRecord) {
+    fn flow_opened(&mut self, _: &Table, flow: &FlowRecord) {
         assert!(self.ports.values().any(|&port| port == flow.upstream_port));
         self.opened_flows += 1;
     }
 
-    fn flow_closed(&mut self, flow: &FlowRecord, _: CloseReason) {
+    fn flow_closed(&mut self, table: &Table, flow: &FlowRecord, _: CloseReason) {
         self.closed_flows += 1;
-        self.just_closed.push(flow.clone());
+        let server = table.mapping(flow.mapping).server;
+        self.just_closed.push((flow.upstream_port, server, flow.client));
     }
 
     fn throttling_begun(&mut self, _: &Throttled, _: MappingId) {
@@ -118,7 +122,17 @@ impl World {
         let sockets = Sockets { limit: 8, ..Sockets::default() };
         let flows_before_reload = vec![0; rules.table.nets().len() + 1];
         let (at_nodes, users) = (Vec::new(), HashMap::new());
-        Self { core, counters, sockets, now, rules, flows_before_reload, at_nodes, users }
+        Self {
+            core,
+            counters,
+            sockets,
+            now,
+            rules,
+            going_over: false,
+            flows_before_reload,
+            at_nodes,
+            users,
+        }
     }
 
     fn step(&mut self, input: &mut Input<'_>) {
@@ -127,8 +141,10 @@ impl World {
             128..=207 => self.response(input),
             208..=239 => self.pass_time(input),
             240..=243 => self.sockets.limit = usize::from(input.octet() % 12),
+            244..=247 => self.go_over(),
             _ => self.reload(input),
         }
+        self.give_up_pairs();
     }
 
     fn flows(&self) -> Vec<FlowRecord> {
@@ -138,7 +154,8 @@ impl World {
     fn request(&mut self, input: &mut Input<'_>) {
         let table = Arc::clone(&self.rules.table);
         let id = input.choice(&table.mapping_ids().collect::<Vec<_>>());
-        let (mapping, listener) = (table.mapping(id), ListenerId(id.0));
+        let mapping = table.mapping(id);
+        let listener = listener(&mapping);
         let net = table.net(mapping.net);
         let client: SocketAddr = input.choice(&CLIENTS).parse().unwrap();
         let public_address: IpAddr = input.choice(&PUBLIC).parse().unwrap();
@@ -226,7 +243,8 @@ impl World {
 
         let flow = flow.expect("it has a flow");
         let (public_address, client, mapping) = (flow.public_address, flow.client, flow.mapping);
-        let expected = ToClient { via: ListenerId(mapping.0), public_address, client, mapping };
+        let via = listener(&table.mapping(mapping));
+        let expected = ToClient { via, public_address, client, mapping };
         assert_eq!(to, expected, "an answer to another client, or from elsewhere");
         let net = table.net(table.mapping(mapping).net);
         let credential = flow.credential.map(|index| &net.credentials[index]);
@@ -256,10 +274,9 @@ impl World {
         }
     }
 
-    fn give_up_pairs(&mut self, table: &Table) {
-        for flow in std::mem::take(&mut self.sockets.just_closed) {
-            let pair = (flow.upstream_port, table.mapping(flow.mapping).server);
-            self.users.insert(pair, (flow.client, self.now));
+    fn give_up_pairs(&mut self) {
+        for (port, server, client) in std::mem::take(&mut self.sockets.just_closed) {
+            self.users.insert((port, server), (client, self.now));
         }
     }
 
@@ -271,30 +288,44 @@ impl World {
             |flow: &FlowRecord| flow.idle < table.net(table.mapping(flow.mapping).net).idle_timeout;
         let mut lively = self.flows();
         lively.retain(is_lively);
-        self.core.expire(self.now, &mut self.sockets);
+        self.expire();
         assert_eq!(self.flows(), lively, "N-2, N-3: closed too early or too late");
-        self.give_up_pairs(&table);
     }
 
     /// Flows that live on keep client, port, server and passwords; nothing new opens.
     fn reload(&mut self, input: &mut Input<'_>) {
-        let rules = tables::rules(input);
+        let rules = tables::followed_by(&self.rules, input);
         let (old, new) = (Arc::clone(&self.rules.table), Arc::clone(&rules.table));
-        let listener = |listener: ListenerId| {
-            let port = old.mappings()[listener.0 as usize].public_port;
-            let id = new.mapping_ids().find(|&id| new.mapping(id).public_port == port)?;
-            Some(ListenerId(id.0))
-        };
+        let listeners =
+            |table: &Table| -> BTreeSet<_> { table.mappings().iter().map(listener).collect() };
+        let gone = listeners(&old).difference(&listeners(&new)).copied().collect();
+        let transition = Arc::new(Transition::new(&self.rules, &rules, gone));
+        self.counters = Arc::new(self.counters.followed_by(&old, &new));
+        let (rules, counters) = (rules.clone(), Arc::clone(&self.counters));
         let before: Vec<_> = self.flows().iter().map(|flow| lasting(&old, flow)).collect();
-        self.counters = self.core.reload(self.now, &rules, listener, &mut self.sockets);
-        self.give_up_pairs(&old);
-        self.rules = rules;
+        self.rules = rules.clone();
+        let succession = Succession { rules, counters, transition };
+        self.core.reload(self.now, succession, &mut self.sockets);
+        self.going_over = true;
         for flow in &self.flows() {
             assert!(before.contains(&lasting(&new, flow)), "{flow:?} was another one before");
             let net = new.net(new.mapping(flow.mapping).net);
             assert!(net.allows(flow.client.ip()), "{flow:?} has no right any more");
         }
         self.flows_before_reload = self.open_flows();
+    }
+
+    /// The flows that have not gone over to the last new configuration do.
+    fn go_over(&mut self) {
+        let before = self.flows();
+        while self.going_over {
+            self.going_over = self.core.go_over(self.now, &mut self.sockets).is_none();
+        }
+        assert_eq!(self.flows(), before, "it held from the first moment on");
+    }
+
+    fn expire(&mut self) {
+        while self.core.expire(self.now, &mut self.sockets) {}
     }
 
     /// Flows of each net, and of all.
@@ -310,9 +341,13 @@ impl World {
 
     fn check(&self) {
         let (table, open) = (&self.rules.table, self.open_flows());
-        assert_eq!(open[table.nets().len()], self.sockets.opened_flows - self.sockets.closed_flows);
+        let (all, told) =
+            (open[table.nets().len()], self.sockets.opened_flows - self.sockets.closed_flows);
+        // What is withdrawn is shown no more, and is closed in its turn.
+        assert!(all == told || (all < told && self.going_over), "{all} flows instead of {told}");
         for (net, &open) in table.net_ids().zip(&open) {
-            assert_eq!(self.counters.net(net).flows.get(), open as u64, "{net:?}");
+            let counted = self.counters.net(net).flows.get();
+            assert!(counted == open as u64 || self.going_over, "{net:?}: {counted} of {open}");
         }
         let limits = table.nets().iter().map(|net| net.max_flows);
         let limits = limits.chain([self.rules.limits.max_flows]);
@@ -320,7 +355,7 @@ impl World {
             assert!(open <= before.max(limit as usize), "N-8: {open} flows, limit {limit}");
         }
         let nodes = table.mapping_ids().map(|id| self.counters.node(id));
-        for node in nodes.chain([&self.counters.stray]) {
+        for node in nodes.chain([&*self.counters.stray]) {
             for direction in DIRECTIONS.map(|direction| node.direction(direction)) {
                 let accounted = direction.forwarded.get() + direction.dropped_total();
                 assert_eq!(direction.received.get(), accounted, "the law of the counters");
@@ -334,15 +369,20 @@ impl World {
         self.check();
         assert_eq!(self.flows(), []);
         self.now += REST;
-        self.core.expire(self.now, &mut self.sockets);
+        self.expire();
         assert!(self.sockets.ports.is_empty(), "sockets stay open");
         self.now += LONGEST_THROTTLING;
-        self.core.expire(self.now, &mut self.sockets);
+        self.expire();
         assert_eq!(self.sockets.throttled, 0, "throttled for ever");
         assert!(self.core.is_idle() && !self.core.awaits_answers(self.now));
         let nets = self.rules.table.net_ids();
         assert!(nets.into_iter().all(|net| self.counters.net(net).flows.get() == 0));
     }
+}
+
+/// The public socket of a port. It keeps its name as long as there is one.
+fn listener(mapping: &Mapping) -> ListenerId {
+    ListenerId(mapping.public_port.into())
 }
 
 /// The octets with this password in the place of theirs.

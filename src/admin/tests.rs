@@ -163,7 +163,7 @@ fn nets_show_what_was_counted() {
         worker.net(SECTION).wrong_password_sources.note(1 << 40);
         worker.net(SECTION).flows.add(3);
         worker.net(SECTION).flows_opened.add(3);
-        worker.net(SECTION).accepted[0].add(4);
+        worker.accepted(SECTION)[0].add(4);
     }
     let nets = Server::start(router).get("/api/v1/nets").json();
     let mut section = nets["nets"][0].clone();

@@ -119,7 +119,7 @@ fn workers_are_added_up() {
         worker.net(SECTION).flows.add(n);
         worker.net(SECTION).flows_opened.add(n + 1);
         worker.net(SECTION).flows_closed(CloseReason::Idle).add(1);
-        worker.net(SECTION).accepted[1].add(n);
+        worker.accepted(SECTION)[1].add(n);
         worker.stray.direction(Direction::Response).received.add(n);
         worker.stray.direction(Direction::Response).dropped(DropReason::UnknownFlow).add(n);
     }

@@ -178,7 +178,7 @@ impl NodeTotals {
     /// The sum over `workers` for the datagrams on upstream sockets that come from no server of
     /// the table.
     pub fn of_strays(workers: &[Arc<Counters>]) -> Self {
-        Self::sum(workers.iter().map(|worker| &worker.stray))
+        Self::sum(workers.iter().map(|worker| &*worker.stray))
     }
 
     /// Datagrams of one direction.
@@ -264,7 +264,7 @@ impl NetTotals {
             flows_opened: sum(&|worker| &worker.net(net).flows_opened),
             flows_closed: CloseReason::ALL
                 .map(|reason| sum(&|worker| worker.net(net).flows_closed(reason))),
-            accepted: credentials.map(|i| sum(&|worker| &worker.net(net).accepted[i])).collect(),
+            accepted: credentials.map(|i| sum(&|worker| &*worker.accepted(net)[i])).collect(),
             wrong_password_sources: SourceSketch::estimate(
                 workers.iter().map(|worker| &worker.net(net).wrong_password_sources),
             ),

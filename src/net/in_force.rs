@@ -7,7 +7,7 @@ use std::collections::HashMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use crate::config::Config;
-use crate::relay::{Counters, NetId};
+use crate::relay::{Counters, NetId, Rules};
 
 use super::filtered::{KernelDrops, NetDrops};
 use super::public::Listeners;
@@ -17,6 +17,8 @@ use super::public::Listeners;
 pub struct InForce {
     /// The configuration.
     pub config: Config,
+    /// What the workers work from.
+    pub(super) rules: Rules,
     /// The counters of each worker; a figure of the router is their sum.
     pub counters: Vec<Arc<Counters>>,
     /// Of each net.
@@ -30,12 +32,13 @@ pub struct InForce {
 impl InForce {
     pub(super) fn new(
         config: Config,
+        rules: Rules,
         counters: Vec<Arc<Counters>>,
         drops: Vec<Arc<NetDrops>>,
         upstream_drops: Arc<NetDrops>,
         listeners: Vec<Listeners>,
     ) -> Self {
-        Self { config, counters, drops, upstream_drops, listeners: Mutex::new(listeners) }
+        Self { config, rules, counters, drops, upstream_drops, listeners: Mutex::new(listeners) }
     }
 
     /// Datagrams that the kernel dropped on a net's public sockets.

@@ -199,8 +199,8 @@ mod tests {
             Some(50_000)
         }
         fn close_upstream(&mut self, _: UpstreamId) {}
-        fn flow_opened(&mut self, _: &FlowRecord) {}
-        fn flow_closed(&mut self, _: &FlowRecord, _: CloseReason) {}
+        fn flow_opened(&mut self, _: &Table, _: &FlowRecord) {}
+        fn flow_closed(&mut self, _: &Table, _: &FlowRecord, _: CloseReason) {}
     }
 
     impl Judge {

@@ -3,6 +3,7 @@
 //! A socket outlives a reload as long as its address and port are wanted; what it stands for may
 //! change. Its place in a worker's [`Listeners`] stays the same all its life.
 
+use std::collections::BTreeSet;
 use std::io;
 use std::net::{IpAddr, SocketAddr};
 use std::sync::Arc;
@@ -69,6 +70,11 @@ impl Listeners {
             self.0.resize_with(index + 1, || None);
         }
         self.0[index] = Some(listener);
+    }
+
+    /// The places whose sockets of `before` are not in them any more.
+    pub(super) fn gone(&self, before: &Self) -> BTreeSet<ListenerId> {
+        before.iter().map(|(id, _)| id).filter(|&id| !self.keeps(id, before)).collect()
     }
 
     /// Whether the socket in this place is the same in both.

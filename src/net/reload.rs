@@ -12,7 +12,7 @@ use std::sync::{Arc, PoisonError};
 use std::time::{Duration, Instant};
 
 use crate::config::{Changes, Config, Faults};
-use crate::relay::{Net, Rules};
+use crate::relay::{Counters, Net, Succession, Transition};
 
 use super::bind::{self, StartError};
 use super::descriptors;
@@ -109,30 +109,37 @@ impl Router {
         let listeners = opened?;
 
         // From here on nothing fails.
-        let rules = Rules::new(Arc::clone(&config.table), config.limits);
-        let next = |listeners: &Listeners| Next {
-            rules: rules.clone(),
+        let (was, is) = (&old.config.table, &config.table);
+        let rules = old.rules.followed_by(Arc::clone(is), config.limits);
+        let gone = listeners.iter().zip(&before).flat_map(|(is, was)| is.gone(was)).collect();
+        let transition = Arc::new(Transition::new(&old.rules, &rules, gone));
+        let counters: Vec<_> =
+            old.counters.iter().map(|worker| Arc::new(worker.followed_by(was, is))).collect();
+        let next = |listeners: &Listeners, counters: &Arc<Counters>| Next {
+            succession: Succession {
+                rules: rules.clone(),
+                counters: Arc::clone(counters),
+                transition: Arc::clone(&transition),
+            },
             listeners: listeners.clone(),
             upstream_limit: plan.upstreams,
             runtime: config.runtime.clone(),
         };
         let mut answers = Vec::new();
-        for (worker, listeners) in self.workers.iter().zip(&listeners) {
+        for ((worker, listeners), counters) in self.workers.iter().zip(&listeners).zip(&counters) {
             let (reply, answer) = mpsc::sync_channel(1);
-            worker.ask(Command::Reload(Box::new(next(listeners)), reply));
+            worker.ask(Command::Reload(Box::new(next(listeners, counters)), reply));
             answers.push(answer);
         }
-        let mut counters = Vec::new();
         for answer in answers {
             // None comes from a worker that has panicked: it takes the process along.
-            let reloaded = answer.recv().map_err(|_| ReloadError::Stopping)?;
-            changes.flows_closed += reloaded.flows_closed;
-            counters.push(reloaded.counters);
+            changes.flows_closed += answer.recv().map_err(|_| ReloadError::Stopping)?;
         }
         if config.runtime.receive_buffer != old.config.runtime.receive_buffer {
             resize_buffers(&config, &listeners);
         }
-        let next = Arc::new(InForce::new(config, counters, drops, upstream_drops, listeners));
+        let next =
+            Arc::new(InForce::new(config, rules, counters, drops, upstream_drops, listeners));
         *self.in_force.write().unwrap_or_else(PoisonError::into_inner) = next;
         old.retire();
         Ok(changes)

@@ -117,7 +117,7 @@ impl Router {
             counters.push(counter);
             workers.push(worker);
         }
-        let in_force = InForce::new(config, counters, drops, upstream_drops, listeners);
+        let in_force = InForce::new(config, rules, counters, drops, upstream_drops, listeners);
         let router = Self {
             in_force: RwLock::new(Arc::new(in_force)),
             last_reload: Mutex::new(LastReload::succeeded()),
@@ -139,7 +139,8 @@ impl Router {
         let drops = config.table.nets().iter().map(|_| Arc::default()).collect();
         let audit = Arc::new(Audit::new(config.runtime.audit_lines));
         let ports = Arc::new(Ports::new(&config));
-        let in_force = InForce::new(config, counters, drops, Arc::default(), Vec::new());
+        let rules = Rules::new(Arc::clone(&config.table), config.limits);
+        let in_force = InForce::new(config, rules, counters, drops, Arc::default(), Vec::new());
         Arc::new(Self {
             in_force: RwLock::new(Arc::new(in_force)),
             last_reload: Mutex::new(LastReload::succeeded()),

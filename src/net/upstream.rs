@@ -29,7 +29,6 @@ pub(super) struct UpstreamSockets {
     /// By [`UpstreamId`].
     sockets: Vec<Option<Upstream>>,
     open: usize,
-    flows_closed: usize,
     limit: usize,
     receive_buffer: usize,
     /// Whether the kernel may refuse strays.
@@ -73,7 +72,6 @@ impl UpstreamSockets {
             shared,
             sockets: Vec::new(),
             open: 0,
-            flows_closed: 0,
             limit,
             receive_buffer: runtime.receive_buffer,
             filters: runtime.prefilter != Prefilter::Off,
@@ -106,11 +104,6 @@ impl UpstreamSockets {
             }
         }
         (self.limit, self.receive_buffer, self.table) = (limit, receive_buffer, table);
-    }
-
-    /// Flows closed so far.
-    pub(super) fn flows_closed(&self) -> usize {
-        self.flows_closed
     }
 
     /// The socket with this index, if it is open.
@@ -195,13 +188,12 @@ impl Shell for UpstreamSockets {
         }
     }
 
-    fn flow_opened(&mut self, flow: &FlowRecord) {
-        self.shared.audit.flow_opened(&self.table, flow);
+    fn flow_opened(&mut self, table: &Table, flow: &FlowRecord) {
+        self.shared.audit.flow_opened(table, flow);
     }
 
-    fn flow_closed(&mut self, flow: &FlowRecord, reason: CloseReason) {
-        self.flows_closed += 1;
-        self.shared.audit.flow_closed(&self.table, flow, reason);
+    fn flow_closed(&mut self, table: &Table, flow: &FlowRecord, reason: CloseReason) {
+        self.shared.audit.flow_closed(table, flow, reason);
     }
 
     fn throttling_begun(&mut self, throttled: &Throttled, mapping: MappingId) {

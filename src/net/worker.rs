@@ -17,8 +17,7 @@ use tokio::sync::mpsc::Sender;
 
 use crate::config::Runtime;
 use crate::relay::{
-    Arrival, Core, Counters, Direction, DropReason, FlowRecord, ListenerId, Rules, Table,
-    UpstreamId,
+    Arrival, Core, Direction, DropReason, FlowRecord, ListenerId, Succession, Table, UpstreamId,
 };
 
 use super::batch::{Batch, Tag};
@@ -45,25 +44,19 @@ pub(super) enum Command {
     Ping(Sender<()>),
     /// Send up to so many flows, and the table that they belong to.
     Flows(usize, Sender<(Arc<Table>, Vec<FlowRecord>)>),
-    /// Go over to another configuration.
-    Reload(Box<Next>, SyncSender<Reloaded>),
+    /// Go over to another configuration, and tell how many flows were closed by it when all have
+    /// gone over.
+    Reload(Box<Next>, SyncSender<usize>),
     /// Take no more requests, wait for answers until then at the latest, and end.
     Drain(Instant),
 }
 
 /// What a worker needs of another configuration.
 pub(super) struct Next {
-    pub rules: Rules,
+    pub succession: Succession,
     pub listeners: Listeners,
     pub upstream_limit: usize,
     pub runtime: Runtime,
-}
-
-/// What came of going over to it.
-pub(super) struct Reloaded {
-    /// Those that count from now on.
-    pub counters: Arc<Counters>,
-    pub flows_closed: usize,
 }
 
 /// Everything one worker thread owns.
@@ -76,6 +69,10 @@ pub(super) struct Worker {
     helpings: Helpings,
     commands: Receiver<Command>,
     drain_until: Option<Instant>,
+    /// Something more is to be closed than was at once.
+    expiring: bool,
+    /// Who waits until all flows have gone over to another configuration.
+    reloading: Option<SyncSender<usize>>,
     ticker: Ticker,
     wake: Arc<EventFd>,
     complaints: Complaints,
@@ -134,6 +131,8 @@ impl Worker {
             helpings: Helpings::default(),
             commands: parts.commands,
             drain_until: None,
+            expiring: false,
+            reloading: None,
             ticker,
             wake: parts.wake,
             complaints: Complaints::default(),
@@ -160,6 +159,7 @@ impl Worker {
                 self.take(Place::from_key(event.data()), now);
             }
             self.flush();
+            self.tidy(now);
             self.busy.note(now, ready);
             self.ticker.run(!self.core.is_idle() || !self.floods.is_quiet());
             if let Some(end) = self.drain_until
@@ -172,7 +172,7 @@ impl Worker {
 
     fn time_out(&self) -> EpollTimeout {
         let wait = match self.drain_until {
-            _ if self.busy.goes_on() => Duration::ZERO,
+            _ if self.busy.goes_on() || self.expiring || self.reloading.is_some() => Duration::ZERO,
             Some(_) => DRAIN_TICK,
             None => return EpollTimeout::NONE,
         };
@@ -186,7 +186,7 @@ impl Worker {
             Place::Public(id) => self.take_requests(id, now),
             Place::Upstream(id) => self.take_responses(id, now),
             Place::Wake => return self.obey(now),
-            Place::Tick => return self.tick(now),
+            Place::Tick => return self.tick(),
         };
         self.batch.keep(received);
         self.helpings.note(place, received);
@@ -285,11 +285,26 @@ impl Worker {
         );
     }
 
+    /// Does some of what concerns many flows, so that datagrams have their turns in between.
+    #[inline]
+    fn tidy(&mut self, now: Instant) {
+        if self.expiring {
+            self.expiring = self.core.expire(now, &mut self.upstream);
+        }
+        if self.reloading.is_some()
+            && let Some(flows_closed) = self.core.go_over(now, &mut self.upstream)
+            && let Some(reply) = self.reloading.take()
+        {
+            // Who asked may have gone; then nobody wants to know.
+            let _ = reply.try_send(flows_closed);
+        }
+    }
+
     /// What has to be looked at about once a second.
     #[cold]
-    fn tick(&mut self, now: Instant) {
+    fn tick(&mut self) {
         self.ticker.read();
-        self.core.expire(now, &mut self.upstream);
+        self.expiring = true;
         self.upstream.account();
         self.floods.look(&self.listeners);
     }
@@ -306,7 +321,10 @@ impl Worker {
                     let flows = self.core.flows(now).take(limit).collect();
                     _ = reply.try_send((Arc::clone(self.core.table()), flows));
                 }
-                Command::Reload(next, reply) => _ = reply.try_send(self.reload(*next, now)),
+                Command::Reload(next, reply) => {
+                    self.reload(*next, now);
+                    self.reloading = Some(reply);
+                }
                 Command::Drain(end) => {
                     self.drain_until = Some(end);
                     for (_, listener) in self.listeners.iter() {
@@ -317,18 +335,18 @@ impl Worker {
         }
     }
 
-    /// Goes over to another configuration, between two datagrams.
-    fn reload(&mut self, next: Next, now: Instant) -> Reloaded {
+    /// Goes over to another configuration, between two datagrams. It holds from the next one on;
+    /// the flows follow some at a time.
+    fn reload(&mut self, next: Next, now: Instant) {
+        while self.reloading.is_some() {
+            self.tidy(now);
+        }
         self.flush(); // what waits to be sent is counted under the table that it came by
-        let Next { rules, listeners, upstream_limit, runtime } = next;
+        let Next { succession, listeners, upstream_limit, runtime } = next;
         let before = mem::replace(&mut self.listeners, listeners);
         let after = &self.listeners;
-        let place = |id| after.keeps(id, &before).then_some(id);
-        let closed = self.upstream.flows_closed();
-        let counters = self.core.reload(now, &rules, place, &mut self.upstream);
-        let flows_closed = self.upstream.flows_closed() - closed;
-
-        let table = rules.table;
+        let table = Arc::clone(&succession.rules.table);
+        self.core.reload(now, succession, &mut self.upstream);
         for (id, was) in before.iter() {
             if after.get(id).is_none_or(|is| !Arc::ptr_eq(&is.drops, &was.drops)) {
                 was.account();
@@ -337,6 +355,5 @@ impl Worker {
         self.floods.reload(runtime.prefilter, Arc::clone(&table), &before, after);
         self.upstream.reload(upstream_limit, &runtime, table);
         self.busy = BusyPoll::new(runtime.busy_poll);
-        Reloaded { counters, flows_closed }
     }
 }

@@ -6,7 +6,7 @@
 use std::hash::BuildHasher;
 use std::net::{IpAddr, SocketAddr};
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use foldhash::fast::FixedState;
 
@@ -19,15 +19,21 @@ use super::flow::{Answers, Endpoints, Flow, FlowRecord, Nanos};
 use super::flows::Flows;
 use super::ids::{FlowId, ListenerId, UpstreamId};
 use super::reason::{CloseReason, Direction, DropReason};
+use super::reload::GoingOver;
 use super::rules::Rules;
 use super::shell::Shell;
 use super::table::{MappingId, Table};
 use super::throttle::Throttle;
 use super::upstream::{Owner, Upstreams};
+use super::wheel::Wheel;
 
 /// The same for all workers, whose sketches are merged. A stranger who makes sources collide only
 /// makes the log's estimate of their number smaller.
 const SOURCE_HASH: FixedState = FixedState::with_seed(0);
+
+/// Flows that are looked at in one go, where there is something to do about all of them: datagrams
+/// have their turns in between. So few in tests that a handful of flows takes several.
+pub(super) const AT_ONCE: usize = if cfg!(test) { 2 } else { 256 };
 
 /// How a request arrived.
 #[derive(Clone, Copy, Debug)]
@@ -70,6 +76,11 @@ pub struct Core {
     pub(super) rules: Rules,
     pub(super) counters: Arc<Counters>,
     pub(super) flows: Flows,
+    /// When each flow may be idle.
+    pub(super) wheel: Wheel,
+    /// The number of the last reload.
+    pub(super) era: u32,
+    pub(super) going_over: Option<GoingOver>,
     upstreams: Upstreams,
     pub(super) throttle: Throttle,
     start: Instant,
@@ -85,6 +96,9 @@ impl Core {
             rules,
             counters,
             flows: Flows::new(hash.clone()),
+            wheel: Wheel::new(),
+            era: 0,
+            going_over: None,
             upstreams: Upstreams::new(hash, choice),
             throttle,
             start,
@@ -121,7 +135,8 @@ impl Core {
         server: SocketAddr,
         octets: &mut [u8],
     ) -> Result<ToClient, DropReason> {
-        let flow = self.flows.of_response(via, server, &self.rules.table);
+        // One that has to go is closed in its turn; nothing comes through it until then.
+        let flow = self.flows.of_response(via, server).filter(|&id| self.take_along(id).is_ok());
         let verdict = match flow {
             Some(id) => self.judge_response(self.nanos(now), id, octets),
             None => Err(DropReason::UnknownFlow),
@@ -130,7 +145,7 @@ impl Core {
             Some(id) => Some(self.flows.get(id).mapping),
             None => self.rules.table.mapping_of_server(server),
         };
-        let node = mapping.map_or(&self.counters.stray, |mapping| self.counters.node(mapping));
+        let node = mapping.map_or(&*self.counters.stray, |mapping| self.counters.node(mapping));
         let node = node.direction(Direction::Response);
         node.received.add(1);
         if let Err(reason) = verdict {
@@ -153,34 +168,51 @@ impl Core {
     }
 
     /// Closes flows that have been idle for their net's time-out, and sockets that nothing needs
-    /// any more, and tells whose throttling is over. To be called about once a second.
-    pub fn expire(&mut self, now: Instant, shell: &mut impl Shell) {
+    /// any more, and tells whose throttling is over. To be called about once a second; it does some
+    /// of what there is to do, and tells whether it is to be called again at once.
+    pub fn expire(&mut self, now: Instant, shell: &mut impl Shell) -> bool {
         let now = self.nanos(now);
-        let table = &self.rules.table;
-        let is_idle = |flow: &Flow| {
-            let time_out = table.net(table.mapping(flow.mapping).net).idle_timeout;
-            Duration::from_nanos(now - flow.last_used) >= time_out
-        };
-        let idle: Vec<_> =
-            self.flows.iter().filter(|(_, flow)| is_idle(flow)).map(|(id, _)| id).collect();
-        for id in idle {
-            self.close(id, CloseReason::Idle, now, shell);
+        if self.upstreams.expire(now, shell) {
+            return true;
         }
-        self.upstreams.expire(now, shell);
-        self.throttle.expire(now, shell);
+        for _ in 0..AT_ONCE {
+            let Some(id) = self.wheel.next(now) else {
+                self.throttle.expire(now, shell);
+                return false;
+            };
+            if self.settle(id, now, shell) {
+                match self.idle_at(id) {
+                    at if at <= now => self.close(id, CloseReason::Idle, now, shell),
+                    at => self.wheel.put_back(id, at),
+                }
+            }
+        }
+        true
+    }
+
+    /// When a flow will have been idle for too long.
+    pub(super) fn idle_at(&self, id: FlowId) -> Nanos {
+        let (flow, table) = (self.flows.get(id), &self.rules.table);
+        let time_out = table.net(table.mapping(flow.mapping).net).idle_timeout.as_nanos();
+        flow.last_used.saturating_add(Nanos::try_from(time_out).unwrap_or(Nanos::MAX))
     }
 
     /// Closes every flow.
     pub fn shut_down(&mut self, now: Instant, shell: &mut impl Shell) {
-        for id in self.flows.ids() {
-            self.close(id, CloseReason::Shutdown, self.nanos(now), shell);
+        let now = self.nanos(now);
+        let ids: Vec<_> = self.flows.iter().map(|(id, _)| id).collect();
+        for id in ids {
+            if self.settle(id, now, shell) {
+                self.close(id, CloseReason::Shutdown, now, shell);
+            }
         }
     }
 
     /// Whether a request has no answer yet that may still come.
     pub fn awaits_answers(&self, now: Instant) -> bool {
         let now = self.nanos(now);
-        self.flows.iter().any(|(_, flow)| flow.awaits_answers(now))
+        let awaits = |flow: &Flow| flow.awaits_answers(now) && self.record(flow, now).is_some();
+        self.flows.iter().any(|(_, flow)| awaits(flow))
     }
 
     /// Whether no flow is open, no socket waits to be closed and nobody is throttled, so that nothing
@@ -197,24 +229,28 @@ impl Core {
     /// The open flows.
     pub fn flows(&self, now: Instant) -> impl Iterator<Item = FlowRecord> {
         let now = self.nanos(now);
-        self.flows.iter().map(move |(_, flow)| flow.record(now))
+        self.flows.iter().filter_map(move |(_, flow)| self.record(flow, now))
     }
 
     /// Panics where the tables do not agree with each other.
     #[cfg(test)]
     pub(super) fn check_invariants(&self, now: Instant) {
-        let (now, table) = (self.nanos(now), &self.rules.table);
-        let mut by_net = vec![0; table.nets().len()];
+        let now = self.nanos(now);
+        let mut by_net = std::collections::BTreeMap::<&str, u64>::new();
         for (id, flow) in self.flows.iter() {
+            let table = &self.rules_of(flow).0.table;
             let mapping = table.mapping(flow.mapping);
+            assert_eq!(flow.server, mapping.server);
             assert_eq!(self.flows.of_request(&flow.endpoints), Some(id));
-            let found = self.flows.of_response(flow.upstream, mapping.server, table);
+            let found = self.flows.of_response(flow.upstream, flow.server);
             assert_eq!(found, Some(id), "an answer finds its flow");
             assert!(flow.opened <= flow.last_used && flow.last_used <= now);
-            by_net[usize::from(mapping.net.0)] += 1;
+            *by_net.entry(&table.net(mapping.net).name).or_default() += 1;
         }
-        for (index, open) in (0..).zip(by_net) {
-            assert_eq!(self.counters.net(super::NetId(index)).flows.get(), open);
+        let table = &self.rules.table;
+        for (net, id) in table.nets().iter().zip(table.net_ids()) {
+            let open = by_net.get(&*net.name).copied().unwrap_or_default();
+            assert_eq!(self.counters.net(id).flows.get(), open);
         }
         self.upstreams.check_invariants(self.flows.len());
     }
@@ -244,6 +280,8 @@ impl Core {
         // address cannot lock the client out.
         let endpoints = arrival.endpoints();
         let open = self.flows.of_request(&endpoints);
+        let open = open.filter(|&id| self.settle(id, now, shell));
+        let net = self.rules.table.net(mapping.net);
         if open.is_none() && !net.allows(arrival.client.ip()) {
             return Err(DropReason::SourceNotAllowed);
         }
@@ -291,7 +329,7 @@ impl Core {
         flow.last_used = now;
         if let Some(index) = credential {
             let net = self.rules.table.net(mapping.net);
-            self.counters.net(mapping.net).accepted[usize::from(index)].add(1);
+            self.counters.accepted(mapping.net)[usize::from(index)].add(1);
             if let Some(device) = &net.credentials[usize::from(index)].device_password {
                 wire::replace_password(octets, device);
             }
@@ -364,6 +402,7 @@ impl Core {
         };
         let flow = Flow {
             endpoints: arrival.endpoints(),
+            server: mapping.server,
             mapping: arrival.mapping,
             upstream,
             upstream_port,
@@ -371,13 +410,16 @@ impl Core {
             opened: now,
             last_used: now,
             answers: Answers::default(),
+            era: self.era,
             paid_until: 0,
         };
-        shell.flow_opened(&flow.record(now));
+        shell.flow_opened(&self.rules.table, &flow.record(now));
         let net = self.counters.net(mapping.net);
         net.flows.add(1);
         net.flows_opened.add(1);
-        Ok(self.flows.insert(flow, &self.rules.table))
+        let id = self.flows.insert(flow);
+        self.wheel.file(id, self.idle_at(id));
+        Ok(id)
     }
 
     pub(super) fn close(
@@ -387,14 +429,17 @@ impl Core {
         now: Nanos,
         shell: &mut impl Shell,
     ) {
-        let flow = self.flows.remove(id, &self.rules.table);
-        let mapping = self.rules.table.mapping(flow.mapping);
-        self.upstreams.release(flow.upstream, mapping.server, now);
-        self.rules.budget.give(mapping.net);
-        let net = self.counters.net(mapping.net);
+        self.wheel.remove(id);
+        let flow = self.flows.remove(id);
+        self.upstreams.release(flow.upstream, flow.server, now);
+        let (rules, counters) = self.rules_of(&flow);
+        let net = rules.table.mapping(flow.mapping).net;
+        rules.budget.give(net);
+        let net = counters.net(net);
         net.flows.sub(1);
         net.flows_closed(reason).add(1);
-        shell.flow_closed(&flow.record(now), reason);
+        shell.flow_closed(&rules.table, &flow.record(now), reason);
+        self.note_withdrawn(flow.era);
     }
 }
 

@@ -5,12 +5,14 @@
 //! received = forwarded + the sum of dropped.
 
 use std::collections::HashMap;
+use std::hash::Hash;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 
 use super::reason::{CloseReason, Direction, DropReason};
 use super::response_times::ResponseTimes;
 use super::sketch::SourceSketch;
-use super::table::{Credential, Mapping, MappingId, NetId, Table};
+use super::table::{Mapping, MappingId, Net, NetId, Table};
 
 /// A number with one writer and any number of readers.
 #[derive(Debug, Default)]
@@ -30,11 +32,6 @@ impl Counter {
     /// Sets the value. Called by the one writer only.
     pub fn set(&self, value: u64) {
         self.0.store(value, Relaxed);
-    }
-
-    /// Takes over the value of another.
-    fn copy(&self, other: &Self) {
-        self.set(other.get());
     }
 
     /// The value now.
@@ -61,13 +58,6 @@ impl DirectionCounters {
         &self.dropped[reason as usize]
     }
 
-    fn copy(&self, other: &Self) {
-        self.received.copy(&other.received);
-        self.forwarded.copy(&other.forwarded);
-        self.forwarded_bytes.copy(&other.forwarded_bytes);
-        copy_all(&self.dropped, &other.dropped);
-    }
-
     /// All that was dropped, whatever the reason.
     pub fn dropped_total(&self) -> u64 {
         self.dropped.iter().map(Counter::get).sum()
@@ -89,16 +79,6 @@ pub struct NodeCounters {
 }
 
 impl NodeCounters {
-    fn copy(&self, other: &Self) {
-        for direction in Direction::ALL {
-            self.direction(direction).copy(other.direction(direction));
-        }
-        self.response_times.copy(&other.response_times);
-        self.last_response.copy(&other.last_response);
-        self.last_request.copy(&other.last_request);
-        self.unanswered_since.copy(&other.unanswered_since);
-    }
-
     /// Notes a request that wants an answer.
     #[inline]
     pub(super) fn asked(&self, now: u64) {
@@ -122,15 +102,13 @@ impl NodeCounters {
 }
 
 /// What is counted for one net.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub struct NetCounters {
     /// Flows open now.
     pub flows: Counter,
     /// Flows opened so far.
     pub flows_opened: Counter,
     flows_closed: [Counter; CloseReason::ALL.len()],
-    /// Requests accepted, by the net's credentials in their order.
-    pub accepted: Box<[Counter]>,
     sources: [SourceSketch; DropReason::COUNT],
     /// Who sent wrong passwords since the start: hashes as in [`sources`](Self::sources).
     pub wrong_password_sources: SourceSketch,
@@ -159,65 +137,46 @@ impl NetCounters {
 /// All counters of one worker, laid out like the [`Table`] they belong to.
 #[derive(Debug)]
 pub struct Counters {
-    nodes: Box<[NodeCounters]>,
-    nets: Box<[NetCounters]>,
+    nodes: Box<[Arc<NodeCounters>]>,
+    nets: Box<[Arc<NetCounters>]>,
+    accepted: Box<[Box<[Arc<Counter>]>]>,
     /// Datagrams on an upstream socket from an address that is no server of the table.
-    pub stray: NodeCounters,
+    pub stray: Arc<NodeCounters>,
 }
 
 impl Counters {
     /// Counters at 0 for this table.
     pub fn new(table: &Table) -> Self {
-        let net = |credentials: usize| NetCounters {
-            flows: Counter::default(),
-            flows_opened: Counter::default(),
-            flows_closed: Default::default(),
-            accepted: (0..credentials).map(|_| Counter::default()).collect(),
-            sources: Default::default(),
-            wrong_password_sources: SourceSketch::default(),
-        };
+        let accepted = |net: &Net| net.credentials.iter().map(|_| Arc::default()).collect();
         Self {
-            nodes: table.mappings().iter().map(|_| NodeCounters::default()).collect(),
-            nets: table.nets().iter().map(|n| net(n.credentials.len())).collect(),
-            stray: NodeCounters::default(),
+            nodes: table.mappings().iter().map(|_| Arc::default()).collect(),
+            nets: table.nets().iter().map(|_| Arc::default()).collect(),
+            accepted: table.nets().iter().map(accepted).collect(),
+            stray: Arc::default(),
         }
     }
 
     /// Counters for the table `new` that go on from these, of the table `old`: nets by their name,
-    /// nodes by net and node address, credentials by net and name.
-    pub(super) fn carried_over(&self, old: &Table, new: &Table) -> Self {
-        let next = Self::new(new);
-        next.stray.copy(&self.stray);
-        let old_nets: HashMap<_, _> = old
+    /// nodes by net and node address, credentials by net and name. They are the same ones, so that
+    /// nothing is lost of what is counted meanwhile.
+    pub fn followed_by(&self, old: &Table, new: &Table) -> Self {
+        let nets: HashMap<_, _> = old.nets().iter().map(|net| &net.name).zip(&self.nets).collect();
+        let accepted: HashMap<_, _> = old
             .nets()
             .iter()
-            .zip(&self.nets)
-            .map(|(net, counters)| (&net.name, (net, counters)))
+            .zip(&self.accepted)
+            .flat_map(|(net, accepted)| credential_names(net).zip(accepted))
             .collect();
-        for (net, next) in new.nets().iter().zip(&next.nets) {
-            let Some((old, counters)) = old_nets.get(&net.name) else { continue };
-            next.flows.copy(&counters.flows);
-            next.flows_opened.copy(&counters.flows_opened);
-            copy_all(&next.flows_closed, &counters.flows_closed);
-            next.wrong_password_sources.copy(&counters.wrong_password_sources);
-            for (credential, next) in net.credentials.iter().zip(&next.accepted) {
-                let same = |old: &Credential| old.name == credential.name;
-                if let Some(index) = old.credentials.iter().position(same) {
-                    next.copy(&counters.accepted[index]);
-                }
-            }
+        let nodes: HashMap<_, _> =
+            old.mappings().iter().map(|was| node_name(old, was)).zip(&self.nodes).collect();
+        let of_net =
+            |net: &Net| credential_names(net).map(|name| known(&accepted, &name)).collect();
+        Self {
+            nodes: new.mappings().iter().map(|is| known(&nodes, &node_name(new, is))).collect(),
+            nets: new.nets().iter().map(|net| known(&nets, &&net.name)).collect(),
+            accepted: new.nets().iter().map(of_net).collect(),
+            stray: Arc::clone(&self.stray),
         }
-        let key = |table: &'_ Table, mapping: &Mapping| {
-            (table.net(mapping.net).name.clone(), mapping.node_address)
-        };
-        let old_nodes: HashMap<_, _> =
-            old.mappings().iter().map(|mapping| key(old, mapping)).zip(&self.nodes).collect();
-        for (mapping, next) in new.mappings().iter().zip(&next.nodes) {
-            if let Some(counters) = old_nodes.get(&key(new, mapping)) {
-                next.copy(counters);
-            }
-        }
-        next
     }
 
     /// The counters of the node behind a mapping.
@@ -229,8 +188,24 @@ impl Counters {
     pub fn net(&self, net: NetId) -> &NetCounters {
         &self.nets[usize::from(net.0)]
     }
+
+    /// Requests that a net accepted, by its credentials in their order.
+    pub fn accepted(&self, net: NetId) -> &[Arc<Counter>] {
+        &self.accepted[usize::from(net.0)]
+    }
 }
 
-fn copy_all(counters: &[Counter], others: &[Counter]) {
-    counters.iter().zip(others).for_each(|(counter, other)| counter.copy(other));
+/// What a net's credentials are known by.
+fn credential_names(net: &Net) -> impl Iterator<Item = (&str, &str)> {
+    net.credentials.iter().map(|credential| (&*net.name, &*credential.name))
+}
+
+/// What a node is known by.
+fn node_name<'a>(table: &'a Table, mapping: &Mapping) -> (&'a str, u8) {
+    (&table.net(mapping.net).name, mapping.node_address)
+}
+
+/// The counters of that name, or new ones.
+fn known<K: Eq + Hash, T: Default>(counters: &HashMap<K, &Arc<T>>, name: &K) -> Arc<T> {
+    counters.get(name).map_or_else(Arc::default, |counters| Arc::clone(counters))
 }

@@ -26,6 +26,9 @@ pub(super) struct Endpoints {
 #[derive(Debug)]
 pub(super) struct Flow {
     pub endpoints: Endpoints,
+    /// As long as it lives, whatever its mapping is called.
+    pub server: SocketAddr,
+    /// Under the rules of its era, as the credential.
     pub mapping: MappingId,
     pub upstream: UpstreamId,
     pub upstream_port: u16,
@@ -35,6 +38,8 @@ pub(super) struct Flow {
     /// The last datagram of either direction (RFC 4787 REQ-6).
     pub last_used: Nanos,
     pub answers: Answers,
+    /// The number of the reload whose rules it stands under.
+    pub era: u32,
     /// Until when its requests are paid for, where they are limited.
     pub paid_until: Nanos,
 }

@@ -12,7 +12,6 @@ use slab::Slab;
 
 use super::flow::{Endpoints, Flow};
 use super::ids::{FlowId, UpstreamId};
-use super::table::Table;
 
 /// Flows by number, by client, and by server.
 #[derive(Debug)]
@@ -42,15 +41,10 @@ impl Flows {
 
     /// The flow that a response belongs to.
     #[inline]
-    pub(super) fn of_response(
-        &self,
-        upstream: UpstreamId,
-        server: SocketAddr,
-        table: &Table,
-    ) -> Option<FlowId> {
+    pub(super) fn of_response(&self, upstream: UpstreamId, server: SocketAddr) -> Option<FlowId> {
         let is_it = |id: &FlowId| {
             let flow = self.get(*id);
-            flow.upstream == upstream && table.mapping(flow.mapping).server == server
+            flow.upstream == upstream && flow.server == server
         };
         self.by_server.find(self.hash.hash_one((upstream, server)), is_it).copied()
     }
@@ -65,55 +59,43 @@ impl Flows {
         &mut self.flows[id.key()]
     }
 
-    pub(super) fn insert(&mut self, flow: Flow, table: &Table) -> FlowId {
+    pub(super) fn insert(&mut self, flow: Flow) -> FlowId {
         let id = FlowId::new(self.flows.insert(flow));
-        self.index_by_endpoints(id);
-        let Self { flows, by_server, hash, .. } = self;
-        let hash_of = |id: &FlowId| hash.hash_one(server_side(&flows[id.key()], table));
+        let Self { flows, by_endpoints, by_server, hash } = self;
+        let hash_of = |id: &FlowId| hash.hash_one(flows[id.key()].endpoints);
+        by_endpoints.insert_unique(hash_of(&id), id, hash_of);
+        let hash_of = |id: &FlowId| hash.hash_one(server_side(&flows[id.key()]));
         by_server.insert_unique(hash_of(&id), id, hash_of);
         id
     }
 
-    pub(super) fn remove(&mut self, id: FlowId, table: &Table) -> Flow {
+    pub(super) fn remove(&mut self, id: FlowId) -> Flow {
         let flow = self.flows.remove(id.key());
         let hash = self.hash.hash_one(flow.endpoints);
         if let Ok(entry) = self.by_endpoints.find_entry(hash, |other| *other == id) {
             entry.remove();
         }
-        let hash = self.hash.hash_one(server_side(&flow, table));
+        let hash = self.hash.hash_one(server_side(&flow));
         if let Ok(entry) = self.by_server.find_entry(hash, |other| *other == id) {
             entry.remove();
         }
         flow
     }
 
-    /// Finds flows anew by their endpoints, which have changed.
-    pub(super) fn reindex(&mut self) {
-        self.by_endpoints.clear();
-        self.ids().for_each(|id| self.index_by_endpoints(id));
-    }
-
     pub(super) fn iter(&self) -> impl Iterator<Item = (FlowId, &Flow)> {
         self.flows.iter().map(|(key, flow)| (FlowId::new(key), flow))
     }
 
-    /// The numbers of all flows, to change them by.
-    pub(super) fn ids(&self) -> std::vec::IntoIter<FlowId> {
-        self.iter().map(|(id, _)| id).collect::<Vec<_>>().into_iter()
+    pub(super) fn contains(&self, id: FlowId) -> bool {
+        self.flows.contains(id.key())
     }
 
     pub(super) fn len(&self) -> usize {
         self.flows.len()
     }
-
-    fn index_by_endpoints(&mut self, id: FlowId) {
-        let Self { flows, by_endpoints, hash, .. } = self;
-        let hash_of = |id: &FlowId| hash.hash_one(flows[id.key()].endpoints);
-        by_endpoints.insert_unique(hash_of(&id), id, hash_of);
-    }
 }
 
 /// What a response's way in is known by.
-fn server_side(flow: &Flow, table: &Table) -> (UpstreamId, SocketAddr) {
-    (flow.upstream, table.mapping(flow.mapping).server)
+fn server_side(flow: &Flow) -> (UpstreamId, SocketAddr) {
+    (flow.upstream, flow.server)
 }

@@ -15,8 +15,8 @@ impl FlowId {
     }
 }
 
-/// Index of a public socket; the core does not look behind it.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+/// Index of a public socket; the core does not look behind it. It stays the same over a reload.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct ListenerId(pub u32);
 
 /// Index of an upstream socket.

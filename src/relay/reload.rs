@@ -1,99 +1,153 @@
 //! A new configuration for a core at work.
 //!
-//! A flow lives on, with its upstream port, when its mapping, its password and its client's address
-//! are still good; otherwise it is closed at once. Counters of nets and nodes that stay go on.
+//! It is in force for the next datagram, whatever there is of flows. A flow goes over to it when a
+//! datagram touches it, and otherwise in its turn, some at a time. It lives on, with its upstream
+//! port, when its mapping, its password and its client's address are still good; otherwise it is
+//! closed, and until then nobody gets anything through it.
 
+use std::mem;
 use std::sync::Arc;
 use std::time::Instant;
 
-use super::core::Core;
+use super::core::{AT_ONCE, Core};
 use super::counters::Counters;
-use super::flow::Flow;
-use super::ids::{FlowId, ListenerId};
+use super::flow::{Flow, FlowRecord, Nanos};
+use super::ids::FlowId;
 use super::reason::CloseReason;
 use super::rules::Rules;
 use super::shell::Shell;
-use super::table::{MappingId, Table};
+use super::transition::Transition;
 
-/// Where a flow stands in new rules.
-struct Place {
-    mapping: MappingId,
-    listener: ListenerId,
-    credential: Option<u16>,
+/// What a core goes over to.
+#[derive(Debug)]
+pub struct Succession {
+    /// The rules from here on.
+    pub rules: Rules,
+    /// What is counted from here on.
+    pub counters: Arc<Counters>,
+    /// The way there.
+    pub transition: Arc<Transition>,
+}
+
+/// What is left to do of going over to new rules.
+#[derive(Debug)]
+pub(super) struct GoingOver {
+    /// The rules that flows stand under which have not gone over.
+    pub rules: Rules,
+    /// What those are counted by.
+    pub counters: Arc<Counters>,
+    transition: Arc<Transition>,
+    /// The flow whose turn it is.
+    next: FlowId,
+    /// Flows that have not gone over.
+    left: usize,
+    /// Flows that could not.
+    closed: usize,
 }
 
 impl Core {
-    /// Goes over to new rules and returns the counters that count from here on. `listener` tells
-    /// what an old public socket is called now, if it is still there.
-    pub fn reload(
-        &mut self,
-        now: Instant,
-        rules: &Rules,
-        listener: impl Fn(ListenerId) -> Option<ListenerId>,
-        shell: &mut impl Shell,
-    ) -> Arc<Counters> {
-        let old = &self.rules.table;
-        let place = |flow: &Flow| {
-            let listener = listener(flow.endpoints.listener);
-            place(flow, old, &rules.table, listener.ok_or(CloseReason::MappingRemoved)?)
-        };
-        let places: Vec<_> = self.flows.iter().map(|(id, flow)| (id, place(flow))).collect();
+    /// Goes over to new rules. They hold at once; [`go_over`](Self::go_over) does what is left to do.
+    pub fn reload(&mut self, now: Instant, succession: Succession, shell: &mut impl Shell) {
+        while self.going_over.is_some() {
+            self.go_over(now, shell);
+        }
+        let Succession { rules, counters, transition } = succession;
+        self.throttle.set_limits(&rules.limits);
+        self.era += 1;
+        self.going_over = Some(GoingOver {
+            rules: mem::replace(&mut self.rules, rules),
+            counters: mem::replace(&mut self.counters, counters),
+            transition,
+            next: FlowId(0),
+            left: self.flows.len(),
+            closed: 0,
+        });
+    }
+
+    /// Has some more flows go over to the rules of the last [`reload`](Self::reload). Tells how many
+    /// were closed by it as soon as all have.
+    pub fn go_over(&mut self, now: Instant, shell: &mut impl Shell) -> Option<usize> {
         let now = self.nanos(now);
-        for (id, place) in places {
-            match place {
-                Ok(place) => self.move_flow(id, &place, rules),
-                Err(reason) => self.close(id, reason, now, shell),
+        for _ in 0..AT_ONCE {
+            let going_over = self.going_over.as_mut()?;
+            if going_over.left == 0 {
+                let closed = going_over.closed;
+                self.going_over = None;
+                return Some(closed);
+            }
+            let id = going_over.next;
+            going_over.next = FlowId(id.0 + 1);
+            if self.flows.contains(id) {
+                self.settle(id, now, shell);
             }
         }
-        self.flows.reindex();
-        self.throttle.set_limits(&rules.limits);
-        self.counters = Arc::new(self.counters.carried_over(&self.rules.table, &rules.table));
-        self.rules = rules.clone();
-        Arc::clone(&self.counters)
+        None
     }
 
-    fn move_flow(&mut self, id: FlowId, place: &Place, rules: &Rules) {
-        let flow = self.flows.get_mut(id);
-        self.rules.budget.give(self.rules.table.mapping(flow.mapping).net);
-        // A lower limit closes nothing; it is kept to when flows are opened.
-        rules.budget.take_regardless(rules.table.mapping(place.mapping).net);
-        flow.mapping = place.mapping;
-        flow.endpoints.listener = place.listener;
-        flow.credential = place.credential;
-    }
-}
-
-/// Where a flow stands in a new table, or why it has to go.
-fn place(
-    flow: &Flow,
-    old: &Table,
-    new: &Table,
-    listener: ListenerId,
-) -> Result<Place, CloseReason> {
-    let was = old.mapping(flow.mapping);
-    let is_the_same = |mapping: &MappingId| {
-        let is = new.mapping(*mapping);
-        is.public_port == was.public_port
-            && is.node_address == was.node_address
-            && new.net(is.net).name == old.net(was.net).name
-    };
-    let mapping = new.mapping_of_server(was.server).filter(is_the_same);
-    let mapping = mapping.ok_or(CloseReason::MappingRemoved)?;
-    let net = new.net(new.mapping(mapping).net);
-    if !net.allows(flow.endpoints.client.ip()) {
-        return Err(CloseReason::SourceWithdrawn);
-    }
-    let credential = match flow.credential {
-        None if net.allow_without_password => None,
-        None => return Err(CloseReason::PasswordWithdrawn),
-        Some(index) => {
-            let was = &old.net(was.net).credentials[usize::from(index)];
-            let is = net.credential(was.password.octets()).filter(|&index| {
-                let is = &net.credentials[usize::from(index)];
-                bool::from(is.at_server().matches(was.at_server().octets()))
-            });
-            Some(is.ok_or(CloseReason::PasswordWithdrawn)?)
+    /// Brings a flow under the rules in force, or closes it. Tells whether it is still there.
+    #[inline]
+    pub(super) fn settle(&mut self, id: FlowId, now: Nanos, shell: &mut impl Shell) -> bool {
+        match self.take_along(id) {
+            Ok(()) => true,
+            Err(reason) => {
+                self.close(id, reason, now, shell);
+                false
+            }
         }
-    };
-    Ok(Place { mapping, listener, credential })
+    }
+
+    /// Brings a flow under the rules in force, or tells why it has to go.
+    #[inline]
+    pub(super) fn take_along(&mut self, id: FlowId) -> Result<(), CloseReason> {
+        if self.flows.get(id).era == self.era { Ok(()) } else { self.take_over(id) }
+    }
+
+    #[cold]
+    fn take_over(&mut self, id: FlowId) -> Result<(), CloseReason> {
+        let Some(going_over) = &mut self.going_over else { return Ok(()) };
+        let (old, new) = (&*going_over.rules.table, &*self.rules.table);
+        let flow = self.flows.get_mut(id);
+        let place = going_over.transition.place(flow, old, new)?;
+        let was = old.net(old.mapping(flow.mapping).net).idle_timeout;
+        let is = new.net(new.mapping(place.mapping).net).idle_timeout;
+        flow.mapping = place.mapping;
+        flow.credential = place.credential;
+        flow.era = self.era;
+        going_over.left -= 1;
+        if is < was {
+            let idle_at = self.idle_at(id);
+            self.wheel.file(id, idle_at);
+        }
+        Ok(())
+    }
+
+    /// The rules that a flow stands under, and what it is counted by.
+    pub(super) fn rules_of(&self, flow: &Flow) -> (&Rules, &Counters) {
+        match &self.going_over {
+            Some(before) if flow.era != self.era => (&before.rules, &before.counters),
+            _ => (&self.rules, &self.counters),
+        }
+    }
+
+    /// Notes that a flow is gone which had not gone over.
+    pub(super) fn note_withdrawn(&mut self, era: u32) {
+        if let Some(going_over) = self.going_over.as_mut().filter(|_| era != self.era) {
+            going_over.left -= 1;
+            going_over.closed += 1;
+        }
+    }
+
+    /// What is told of a flow; nothing when the rules in force have no place for it.
+    pub(super) fn record(&self, flow: &Flow, now: Nanos) -> Option<FlowRecord> {
+        let record = flow.record(now);
+        match &self.going_over {
+            Some(before) if flow.era != self.era => {
+                let table = (&before.rules.table, &self.rules.table);
+                let place = before.transition.place(flow, table.0, table.1).ok()?;
+                let credential = place.credential.map(usize::from);
+                Some(FlowRecord { mapping: place.mapping, credential, ..record })
+            }
+            _ => Some(record),
+        }
+    }
 }

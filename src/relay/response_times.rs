@@ -64,13 +64,6 @@ impl ResponseTimes {
     pub fn buckets(&self) -> impl Iterator<Item = (u64, u64)> {
         self.0.iter().map(|bucket| (bucket.answers.get(), bucket.sum_nanos.get()))
     }
-
-    pub(super) fn copy(&self, other: &Self) {
-        for (bucket, other) in self.0.iter().zip(&other.0) {
-            bucket.answers.set(other.answers.get());
-            bucket.sum_nanos.set(other.sum_nanos.get());
-        }
-    }
 }
 
 #[cfg(test)]

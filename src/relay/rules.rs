@@ -22,4 +22,10 @@ impl Rules {
         let budget = Arc::new(Budget::new(&table, &limits));
         Self { table, limits, budget }
     }
+
+    /// The rules that come after these: what nets have taken of flows and requests stays taken.
+    pub fn followed_by(&self, table: Arc<Table>, limits: Limits) -> Self {
+        let budget = Arc::new(self.budget.with_limits(&self.table, &table, &limits));
+        Self { table, limits, budget }
+    }
 }

@@ -3,7 +3,7 @@
 use super::flow::FlowRecord;
 use super::ids::UpstreamId;
 use super::reason::CloseReason;
-use super::table::MappingId;
+use super::table::{MappingId, Table};
 use super::throttled::Throttled;
 
 /// What the core asks of the world around it. Called when flows open and close and when throttling
@@ -14,10 +14,10 @@ pub trait Shell {
     fn open_upstream(&mut self, id: UpstreamId, ipv4: bool) -> Option<u16>;
     /// Closes the upstream socket `id`.
     fn close_upstream(&mut self, id: UpstreamId);
-    /// A flow was opened (N-10).
-    fn flow_opened(&mut self, flow: &FlowRecord);
-    /// A flow was closed (N-10).
-    fn flow_closed(&mut self, flow: &FlowRecord, reason: CloseReason);
+    /// A flow of this table was opened (N-10).
+    fn flow_opened(&mut self, table: &Table, flow: &FlowRecord);
+    /// A flow was closed (N-10), of a table that may not be in force any more.
+    fn flow_closed(&mut self, table: &Table, flow: &FlowRecord, reason: CloseReason);
     /// A sender, or an address, sent too many wrong passwords: its request to this public port was
     /// the first to be refused. A stranger brings this about, and one with many addresses often.
     fn throttling_begun(&mut self, _throttled: &Throttled, _mapping: MappingId) {}

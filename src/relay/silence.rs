@@ -23,9 +23,9 @@ impl Shell for OneSocket {
 
     fn close_upstream(&mut self, _: UpstreamId) {}
 
-    fn flow_opened(&mut self, _: &FlowRecord) {}
+    fn flow_opened(&mut self, _: &Table, _: &FlowRecord) {}
 
-    fn flow_closed(&mut self, _: &FlowRecord, reason: CloseReason) {
+    fn flow_closed(&mut self, _: &Table, _: &FlowRecord, reason: CloseReason) {
         assert_eq!(reason, CloseReason::Idle);
     }
 }
@@ -96,7 +96,7 @@ impl World {
         let end = self.now + time;
         while self.now < end {
             self.now = end.min(self.now + Duration::from_secs(1));
-            self.core.expire(self.now, &mut OneSocket);
+            while self.core.expire(self.now, &mut OneSocket) {}
         }
     }
 

@@ -27,6 +27,9 @@ const PROBES: usize = 8;
 /// hold up everybody else.
 const LAST_PROBES: usize = 1024;
 
+/// How many pairs are freed in one go. Each may take a socket with it, which costs a system call.
+const AT_ONCE: usize = if cfg!(test) { 2 } else { 64 };
+
 /// Whose flow a (socket, server) serves: the client and where it sends to. Answers that come late,
 /// to a flow that was closed and opened again, leave from there too.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -125,12 +128,15 @@ impl Upstreams {
         }
     }
 
-    /// Frees the pairs that have rested, and closes the sockets that nothing needs any more.
-    pub(super) fn expire(&mut self, now: Nanos, shell: &mut impl Shell) {
-        while let Some(&(end, socket, server)) = self.resting.front()
-            && end <= now
-        {
-            self.resting.pop_front();
+    /// Frees the pairs that have rested, and closes the sockets that nothing needs any more: so many
+    /// at a time. Tells whether there are more.
+    pub(super) fn expire(&mut self, now: Nanos, shell: &mut impl Shell) -> bool {
+        for _ in 0..AT_ONCE {
+            match self.resting.front() {
+                Some((end, ..)) if *end <= now => {}
+                _ => return false,
+            }
+            let Some((end, socket, server)) = self.resting.pop_front() else { return false };
             let Some(pair) = self.pairs.get(&(socket, server)).copied() else { continue };
             if pair.state == PairState::RestsUntil(end) {
                 self.pairs.remove(&(socket, server));
@@ -138,6 +144,7 @@ impl Upstreams {
                 self.leave_socket(socket, shell);
             }
         }
+        true
     }
 
     pub(super) fn is_empty(&self) -> bool {

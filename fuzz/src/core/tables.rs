@@ -11,6 +11,16 @@ use pnet_nat::wire::{Header, Password};
 use super::input::Input;
 
 pub(super) fn rules(input: &mut Input<'_>) -> Rules {
+    let (table, limits) = table_and_limits(input);
+    Rules::new(table, limits)
+}
+
+pub(super) fn followed_by(rules: &Rules, input: &mut Input<'_>) -> Rules {
+    let (table, limits) = table_and_limits(input);
+    rules.followed_by(table, limits)
+}
+
+fn table_and_limits(input: &mut Input<'_>) -> (Arc<Table>, Limits) {
     let (variant, bounds) = (input.octet(), input.octet());
     let limits = Limits {
         max_flows: 1 + u32::from(bounds % 16),
@@ -20,7 +30,7 @@ pub(super) fn rules(input: &mut Input<'_>) -> Rules {
     };
     let section_flows = 1 + u32::from(bounds / 16);
     let rate = (bounds % 16 > 12).then(|| RequestRate::new(2));
-    Rules::new(Arc::new(table(variant, section_flows, rate)), limits)
+    (Arc::new(table(variant, section_flows, rate)), limits)
 }
 
 fn table(variant: u8, section_flows: u32, rate: Option<RequestRate>) -> Table {

@@ -1,7 +1,7 @@
 //! Who is let through and who is told of; what a crowd of strangers can do, and cannot.
 
 use super::*;
-use crate::relay::{CloseReason, FlowRecord, UpstreamId};
+use crate::relay::{CloseReason, FlowRecord, Table, UpstreamId};
 use std::net::{Ipv4Addr, Ipv6Addr};
 
 const START: Nanos = 1;
@@ -26,8 +26,8 @@ impl Shell for Told {
         None
     }
     fn close_upstream(&mut self, _: UpstreamId) {}
-    fn flow_opened(&mut self, _: &FlowRecord) {}
-    fn flow_closed(&mut self, _: &FlowRecord, _: CloseReason) {}
+    fn flow_opened(&mut self, _: &Table, _: &FlowRecord) {}
+    fn flow_closed(&mut self, _: &Table, _: &FlowRecord, _: CloseReason) {}
     fn throttling_begun(&mut self, throttled: &Throttled, _: MappingId) {
         self.begun += 1;
         self.first_begun.get_or_insert(throttled.clone());
