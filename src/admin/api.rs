@@ -2,23 +2,23 @@
 //!
 //! The shapes below are the API. None holds a password: a credential is its name.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, VecDeque};
 use std::iter;
 use std::net::{IpAddr, SocketAddr};
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::time::{Duration, Instant};
 
 use axum::Json;
-use axum::body::Body;
 use axum::extract::{Query, State};
 use axum::http::StatusCode;
 use axum::http::header::CONTENT_TYPE;
 use axum::response::{IntoResponse, Response};
-use futures_util::stream;
 use ipnet::IpNet;
+use serde::ser::Error as _;
 use serde::{Deserialize, Serialize, Serializer};
 
 use super::Shared;
+use super::turn::Turn;
 use crate::COMMIT;
 use crate::config::Config;
 use crate::metrics::totals::{
@@ -98,7 +98,7 @@ pub(super) async fn nets(State(shared): State<Shared>, Query(query): Query<NetsQ
         net.nodes = net.nodes.filter(|_| with_nodes);
         serde_json::to_string(&net)
     };
-    json_list("nets", nets.into_iter().map(net))
+    json_list("nets", nets.into_iter().map(net), &shared.turn)
 }
 
 /// Query of [`flows`].
@@ -117,29 +117,69 @@ pub(super) async fn flows(
         let message = format!("limit is at most {MOST_FLOWS}\n");
         return (StatusCode::BAD_REQUEST, message).into_response();
     }
-    let turn = shared.flows_turn.lock_owned().await;
+    let asking = shared.flow_lists.asking.lock().await;
     let Some(flows) = shared.router.flows(limit).await else {
         let message = "a worker gives no answer\n";
         return (StatusCode::SERVICE_UNAVAILABLE, message).into_response();
     };
+    drop(asking);
     let flows = flows.into_iter().flat_map(|(table, flows)| {
         flows.into_iter().map(move |flow| serde_json::to_string(&Flow::of(&table, &flow)))
     });
-    let flows = flows.inspect(move |_| {
-        let _until_all_is_sent = &turn;
-    });
-    json_list("flows", flows)
+    json_list("flows", shared.flow_lists.keep(Box::new(flows)), &shared.turn)
+}
+
+/// A list of flows is large, and asking for it wakes the workers: one is made at a time, and a few
+/// are kept for slow readers.
+#[derive(Clone, Default)]
+pub(super) struct FlowLists {
+    asking: Arc<tokio::sync::Mutex<()>>,
+    /// Oldest first.
+    kept: Arc<Mutex<VecDeque<Weak<Mutex<Option<FlowList>>>>>>,
+}
+
+type FlowList = Box<dyn Iterator<Item = serde_json::Result<String>> + Send>;
+
+impl FlowLists {
+    const MOST: usize = 4;
+
+    /// The same list, but cut when so many others were asked for later.
+    fn keep(
+        &self,
+        list: FlowList,
+    ) -> impl Iterator<Item = serde_json::Result<String>> + Send + 'static + use<> {
+        let list = Arc::new(Mutex::new(Some(list)));
+        let mut kept = lock(&self.kept);
+        kept.retain(|list| list.strong_count() > 0);
+        if kept.len() >= Self::MOST
+            && let Some(oldest) = kept.pop_front().and_then(|list| list.upgrade())
+        {
+            *lock(&oldest) = None;
+        }
+        kept.push_back(Arc::downgrade(&list));
+        iter::from_fn(move || match lock(&list).as_mut() {
+            Some(list) => list.next(),
+            None => Some(Err(serde_json::Error::custom("others asked for it later"))),
+        })
+    }
+}
+
+/// Nothing panics while it has one of these locks.
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// `GET /api/v1/config`
 pub(super) async fn config(State(shared): State<Shared>) -> Response {
-    Json(ConfigInForce::of(&shared.router.in_force().config)).into_response()
+    let in_force = shared.router.in_force();
+    shared.turn.take(|| Json(ConfigInForce::of(&in_force.config)).into_response()).await
 }
 
 /// An object with one list, made and sent item by item.
 fn json_list(
     name: &str,
     items: impl Iterator<Item = serde_json::Result<String>> + Send + 'static,
+    turn: &Turn,
 ) -> Response {
     let separators = iter::once("\n").chain(iter::repeat(",\n"));
     let items = separators.zip(items);
@@ -147,7 +187,7 @@ fn json_list(
     let chunks = iter::once(Ok(format!("{{\"{name}\":[")))
         .chain(items)
         .chain(iter::once(Ok("\n]}\n".to_owned())));
-    ([(CONTENT_TYPE, "application/json")], Body::from_stream(stream::iter(chunks))).into_response()
+    ([(CONTENT_TYPE, "application/json")], turn.body(chunks)).into_response()
 }
 
 /// The process, and what belongs to no net.

@@ -11,8 +11,8 @@ use std::time::Duration;
 use tokio::task::{AbortHandle, JoinSet};
 use tokio::time::timeout;
 
-/// Connections served at once.
-pub(super) const MOST: usize = 64;
+/// Connections served at once: of the descriptors that are kept for all but the data path.
+pub(super) const MOST: usize = 96;
 
 #[derive(Debug, Default)]
 pub(super) struct Connections {

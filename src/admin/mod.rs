@@ -2,50 +2,56 @@
 //!
 //! It changes nothing, apart from a reload where the configuration allows one. One request a
 //! connection, a bound on connections, time and buffers, and answers made piece by piece as they are
-//! read: whatever its clients do, the data path goes on.
+//! read: whatever its clients do, the data path goes on, and a probe is answered.
 
 mod access;
 mod api;
 mod connections;
 mod page;
+mod scrape;
 #[cfg(test)]
 mod tests;
+mod turn;
 
-use std::convert::Infallible;
 use std::future::Future;
 use std::io;
+use std::pin::pin;
 use std::sync::Arc;
 use std::time::Duration;
 
 use axum::Json;
-use axum::body::Body;
 use axum::extract::State;
 use axum::http::StatusCode;
-use axum::http::header::CONTENT_TYPE;
 use axum::middleware;
 use axum::response::{IntoResponse, Response};
 use axum::routing::{get, post};
-use futures_util::stream;
 use hyper::server::conn::http1;
 use hyper_util::rt::{TokioIo, TokioTimer};
 use hyper_util::service::TowerToHyperService;
+use socket2::SockRef;
 use tokio::net::{TcpListener, TcpStream};
-use tokio::sync::Mutex;
 use tokio::task::yield_now;
 use tokio::time::{sleep, timeout};
+use tokio_io_timeout::TimeoutStream;
 use tracing::warn;
 
-use crate::metrics::{self, Metrics};
+use crate::metrics::Metrics;
 use crate::net::Router;
 use crate::reload::Reloader;
 use crate::sandbox::Sandbox;
 
 use connections::Connections;
+use scrape::Scrapes;
+use turn::Turn;
 
 /// From accepting a connection to having its request.
 const HEADER_TIME: Duration = Duration::from_secs(2);
-/// From accepting a connection to the last octet of the answer.
-const REQUEST_TIME: Duration = Duration::from_secs(10);
+/// How long a reader may take no octet of an answer.
+const STILL_TIME: Duration = Duration::from_secs(10);
+/// From accepting a connection to the last octet of the answer, for a reader that is slow.
+const CONNECTION_TIME: Duration = Duration::from_secs(600);
+/// Octets that may wait in the kernel beside those that are under way: a reader's pace is seen.
+const UNSENT: u32 = 16 * 1024;
 /// Octets that a request may have, and about the octets of answer that wait for a slow reader.
 const BUFFER: usize = 16 * 1024;
 /// How long a stopping server lets open requests end.
@@ -85,7 +91,7 @@ pub async fn serve(
                     let routes = routes.clone();
                     connections.add(from.ip(), async move {
                         // A client that is too slow or gone is its own affair.
-                        let _ = timeout(REQUEST_TIME, answer(stream, routes)).await;
+                        let _ = timeout(CONNECTION_TIME, answer(stream, routes)).await;
                     });
                     // Connections that were cut are closed before others are accepted.
                     yield_now().await;
@@ -104,13 +110,21 @@ pub async fn serve(
 /// The admin server's routes.
 pub fn routes(router: Arc<Router>, reloader: Option<Reloader>, sandbox: Sandbox) -> axum::Router {
     let metrics = Metrics::new(router.clone(), sandbox.clone());
-    let shared = Shared { router, reloader, sandbox, metrics, flows_turn: Arc::default() };
+    let shared = Shared {
+        router,
+        reloader,
+        sandbox,
+        metrics,
+        scrapes: Scrapes::default(),
+        turn: Turn::default(),
+        flow_lists: api::FlowLists::default(),
+    };
     axum::Router::new()
         .route("/", get(page::html))
         .route("/status.js", get(page::script))
         .route("/status.css", get(page::style))
         .route("/status.svg", get(page::icon))
-        .route("/metrics", get(scrape))
+        .route("/metrics", get(scrape::scrape))
         .route("/-/healthy", get("healthy\n"))
         .route("/-/ready", get(ready))
         .route("/-/reload", post(reload))
@@ -131,12 +145,17 @@ struct Shared {
     reloader: Option<Reloader>,
     sandbox: Sandbox,
     metrics: Metrics,
-    /// Held by the one request for flows that is being answered: a list of flows is large, and
-    /// asking for it wakes the workers.
-    flows_turn: Arc<Mutex<()>>,
+    scrapes: Scrapes,
+    turn: Turn,
+    flow_lists: api::FlowLists,
 }
 
 async fn answer(stream: TcpStream, routes: axum::Router) -> hyper::Result<()> {
+    // Without it a slow reader is cut a little early.
+    let _ = SockRef::from(&stream).set_tcp_notsent_lowat(UNSENT);
+    let mut stream = TimeoutStream::new(stream);
+    stream.set_write_timeout(Some(STILL_TIME));
+    let stream = pin!(stream);
     http1::Builder::new()
         .keep_alive(false)
         .timer(TokioTimer::new())
@@ -149,11 +168,6 @@ async fn answer(stream: TcpStream, routes: axum::Router) -> hyper::Result<()> {
 async fn pause_after(error: &io::Error) {
     warn!(%error, "the admin server cannot accept a connection; is the limit of open files reached?");
     sleep(ACCEPT_PAUSE).await;
-}
-
-async fn scrape(State(shared): State<Shared>) -> impl IntoResponse {
-    let chunks = shared.metrics.chunks().map(Ok::<_, Infallible>);
-    ([(CONTENT_TYPE, metrics::CONTENT_TYPE)], Body::from_stream(stream::iter(chunks)))
 }
 
 async fn ready(State(shared): State<Shared>) -> (StatusCode, &'static str) {

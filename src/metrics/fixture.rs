@@ -52,16 +52,16 @@ pub(crate) fn config() -> Config {
 }
 
 /// 64 UDP Range nets of 125 nodes.
-pub(crate) fn large_table() -> Arc<Table> {
-    let nets = (0..64u16)
+pub(crate) fn large_table(nets: u16) -> Arc<Table> {
+    let all = (0..nets)
         .map(|i| net(&format!("section-{i}"), NetKind::UdpRange { start_port: 10_000 + 200 * i }));
-    let mappings = (0..64u16).flat_map(|i| {
+    let mappings = (0..nets).flat_map(|i| {
         (1..=125u8).map(move |node| {
             let port = 10_000 + 200 * i + u16::from(node);
             mapping(NetId(i), node, port, [172, 17, i as u8, node])
         })
     });
-    Arc::new(Table::new(Header::default(), nets.collect(), mappings.collect()))
+    Arc::new(Table::new(Header::default(), all.collect(), mappings.collect()))
 }
 
 fn net(name: &str, kind: NetKind) -> Net {

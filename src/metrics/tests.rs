@@ -216,7 +216,7 @@ fn text_comes_net_by_net_and_only_when_asked_for() {
 #[test]
 fn a_large_table_comes_in_pieces_that_are_small() {
     let mut config = config();
-    config.table = fixture::large_table();
+    config.table = fixture::large_table(64);
     let (mut series, mut largest) = (0, 0);
     for chunk in Metrics::new(Router::idle(config, 2), Sandbox::off()).chunks() {
         series += chunk.lines().filter(|line| !line.starts_with('#')).count();
