@@ -93,7 +93,7 @@ pub(super) fn run(args: Args) -> anyhow::Result<ExitCode> {
 }
 
 async fn ask(args: Args) -> anyhow::Result<ExitCode> {
-    let target = Target::new(args.to, args.start_port, Some(args.password_file));
+    let target = Target::new(args.to.to_canonical(), args.start_port, Some(args.password_file));
     let mut client = Client::bind(target.clone()).await?;
     let mut rounds = tokio::time::interval(args.interval.max(Duration::from_micros(1)));
     rounds.set_missed_tick_behavior(MissedTickBehavior::Delay);

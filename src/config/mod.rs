@@ -3,6 +3,7 @@
 //! TOML text becomes a [`Config`] that holds nothing to check again, or [`Faults`]: all of them in
 //! one run, each with its line, its key and what to do. `config/pnet-nat.toml` describes the keys.
 
+mod address;
 mod changes;
 mod credentials;
 mod excerpt;
@@ -36,7 +37,7 @@ use crate::wire::Header;
 use fault::Report;
 use file::FileError;
 use net::Draft;
-use section::{LONGEST, Section};
+use section::{Entry, LONGEST, Section};
 
 pub use changes::Changes;
 pub use fault::{Fault, Faults, Warning};
@@ -118,7 +119,7 @@ pub fn parse(text: &str, path: &Path) -> Result<(Config, Vec<Warning>), Faults> 
 /// The configuration, unless a fault was noted.
 fn read(mut root: Section<'_>) -> Option<Config> {
     let (place, report) = (root.place.clone(), root.report);
-    let listen = public(root.key("public", "").section());
+    let listeners = public(root.key("public", "").section());
     let header = protocol(root.key("protocol", "").section());
     let ranges = root.key("udp_range_net", "").sections();
     let servers = root.key("server", "").sections();
@@ -135,7 +136,9 @@ fn read(mut root: Section<'_>) -> Option<Config> {
     let ranges = ranges.into_iter().flatten().map(net::udp_range_net);
     let servers = servers.into_iter().flatten().map(net::server);
     let drafts: Vec<Draft<'_>> = ranges.chain(servers).collect();
+    let listen: Vec<IpAddr> = listeners.iter().map(|(_, address)| *address).collect();
     overlap::refuse_overlaps(&drafts, &listen);
+    overlap::warn_of_deaf_listeners(&drafts, &listeners);
     report.is_sound().then(|| {
         let table = Arc::new(table(header, drafts));
         let files = [vec![report.file.to_owned()], report.secrets.take()].concat();
@@ -143,16 +146,15 @@ fn read(mut root: Section<'_>) -> Option<Config> {
     })
 }
 
-fn public(mut section: Section<'_>) -> Vec<IpAddr> {
+fn public(mut section: Section<'_>) -> Vec<(Entry<'_>, IpAddr)> {
     let entry = section.key("listen", "[\"0.0.0.0\"]").required();
     section.finish();
-    let mut listen: Vec<IpAddr> = Vec::new();
+    let mut listen = Vec::new();
     let mut known = HashSet::new();
     // The first of each family, and the one that stands for all of it.
     let (mut first, mut all) = (HashMap::new(), HashMap::new());
     for element in entry.list() {
-        let Some(address) = element.parse::<IpAddr>() else { continue };
-        let address = address.to_canonical();
+        let Some(address) = address::listener(&element) else { continue };
         let family = address.is_ipv4();
         let clash = if address.is_unspecified() { first.get(&family) } else { all.get(&family) };
         if !known.insert(address) {
@@ -169,7 +171,7 @@ fn public(mut section: Section<'_>) -> Vec<IpAddr> {
         if address.is_unspecified() {
             all.insert(family, address);
         }
-        listen.push(address);
+        listen.push((element, address));
     }
     listen
 }
@@ -226,7 +228,8 @@ fn read_runtime(mut section: Section<'_>, runtime: &mut Runtime) {
 fn admin(mut section: Section<'_>) -> Option<Admin> {
     let enabled = section.key("enabled", "true").boolean().unwrap_or(true);
     let listen_entry = section.key("listen", "\"127.0.0.1:9378\"");
-    let listen = listen_entry.parse().unwrap_or(SocketAddr::from(([127, 0, 0, 1], 9378)));
+    let listen = address::endpoint(&listen_entry);
+    let listen = listen.unwrap_or(SocketAddr::from(([127, 0, 0, 1], 9378)));
     let token_file = section.key("token_file", "\"secrets/admin\"");
     let token = token::token_file(&token_file);
     let open_metrics = section.key("metrics_without_token", "true");

@@ -6,10 +6,9 @@
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::time::Duration;
 
-use ipnet::IpNet;
-
 use crate::relay::{Net, NetKind, RequestRate};
 
+use super::address::{endpoint, is_a_host, is_link_local, network};
 use super::credentials::credentials;
 use super::fault::{Place, quoted};
 use super::node_range::{LAST_NODE, NodeRange};
@@ -47,6 +46,14 @@ pub(super) struct Draft<'a> {
     pub(super) nodes: Vec<u8>,
     pub(super) public_ports: Claim<'a, u16>,
     pub(super) servers: Claim<'a, SocketAddr>,
+    pub(super) allowed: Allowed<'a>,
+}
+
+/// The first network of each family that a net's `allow` names.
+#[derive(Debug, Default)]
+pub(super) struct Allowed<'a> {
+    pub(super) ipv4: Option<Entry<'a>>,
+    pub(super) ipv6: Option<Entry<'a>>,
 }
 
 impl Draft<'_> {
@@ -82,7 +89,7 @@ pub(super) fn udp_range_net(mut section: Section<'_>) -> Draft<'_> {
     });
     let server_port = server_port.unwrap_or(SECURE_PORT);
     let kind = NetKind::UdpRange { start_port: start_port.unwrap_or_default() };
-    let net = rules(&mut section, &name, kind);
+    let (net, allowed) = rules(&mut section, &name, kind);
     section.finish();
 
     let public_ports = start_port
@@ -94,7 +101,7 @@ pub(super) fn udp_range_net(mut section: Section<'_>) -> Draft<'_> {
     let public_ports = Claim { entry: start_port_entry, values: public_ports.unwrap_or_default() };
     warn_of_privileged_ports(&public_ports);
     let servers = Claim { entry: subnet_entry, values: servers.unwrap_or_default() };
-    Draft { place, name, net, nodes, public_ports, servers }
+    Draft { place, name, net, nodes, public_ports, servers, allowed }
 }
 
 /// A single server outside any range.
@@ -104,10 +111,10 @@ pub(super) fn server(mut section: Section<'_>) -> Draft<'_> {
     let port_entry = section.key("public_port", "40200").required();
     let port = port_entry.integer(1..=u16::MAX);
     let address_entry = section.key("address", "\"172.17.18.7:34379\"").required();
-    let address = address_entry.parse::<SocketAddr>();
+    let address = endpoint(&address_entry);
     let node_entry = section.key("node", "7").required();
     let node = node_entry.integer(1..=LAST_NODE);
-    let net = rules(&mut section, &name, NetKind::Server);
+    let (net, allowed) = rules(&mut section, &name, NetKind::Server);
     section.finish();
 
     if let (Some(port), Some(node)) = (port, node) {
@@ -119,11 +126,12 @@ pub(super) fn server(mut section: Section<'_>) -> Draft<'_> {
     let public_ports = Claim { entry: port_entry, values: port.into_iter().collect() };
     warn_of_privileged_ports(&public_ports);
     let servers = Claim { entry: address_entry, values: address.into_iter().collect() };
-    Draft { place, name, net, nodes: node.into_iter().collect(), public_ports, servers }
+    let nodes = node.into_iter().collect();
+    Draft { place, name, net, nodes, public_ports, servers, allowed }
 }
 
 /// The keys that ranges and single servers share.
-fn rules(section: &mut Section<'_>, name: &Entry<'_>, kind: NetKind) -> Net {
+fn rules<'a>(section: &mut Section<'a>, name: &Entry<'_>, kind: NetKind) -> (Net, Allowed<'a>) {
     let allow = section.key("allow", "[\"198.51.100.0/24\"]").required();
     let idle_timeout = section.key("idle_timeout", "\"5m\"");
     let max_flows = section.key("max_flows", "4096");
@@ -139,10 +147,18 @@ fn rules(section: &mut Section<'_>, name: &Entry<'_>, kind: NetKind) -> Net {
             "use it only while no client can send one, and keep `allow` narrow",
         );
     }
-    Net {
+    let mut allowed = Allowed::default();
+    let mut networks = Vec::new();
+    for element in allow.list() {
+        let Some(network) = network(&element) else { continue };
+        let first = if network.addr().is_ipv4() { &mut allowed.ipv4 } else { &mut allowed.ipv6 };
+        first.get_or_insert(element);
+        networks.push(network);
+    }
+    let net = Net {
         name: self::name(name).unwrap_or_default(),
         kind,
-        allow: allow.list().iter().filter_map(network).collect(),
+        allow: networks,
         credentials: credentials(&passwords, allow_without_password),
         allow_without_password,
         require_response_password: require_response_password.boolean().unwrap_or(false),
@@ -150,7 +166,8 @@ fn rules(section: &mut Section<'_>, name: &Entry<'_>, kind: NetKind) -> Net {
         max_flows: max_flows.integer(1..=MOST_FLOWS).unwrap_or(4096),
         max_requests: request_rate(&max_requests),
         max_flow_requests: request_rate(&max_flow_requests),
-    }
+    };
+    (net, allowed)
 }
 
 fn request_rate(entry: &Entry<'_>) -> Option<RequestRate> {
@@ -177,7 +194,16 @@ fn start_port(entry: &Entry<'_>) -> Option<u16> {
 
 /// R-12: the mask is 255.255.255.0.
 fn subnet(entry: &Entry<'_>) -> Option<[u8; 4]> {
-    let subnet = entry.parse::<Ipv4Addr>()?;
+    let text = entry.text()?;
+    let Ok(subnet) = text.parse::<Ipv4Addr>() else {
+        let network = text.split('/').next().unwrap_or(text).parse::<Ipv4Addr>();
+        let remedy = network.map_or_else(
+            |_| entry.like(),
+            |network| format!("write \"{network}\": its mask is always 255.255.255.0"),
+        );
+        entry.fault(format!("{} cannot be read: not an IPv4 address", quoted(text)), remedy);
+        return None;
+    };
     let [a, b, c, last] = subnet.octets();
     if last != 0 {
         entry.fault(
@@ -230,6 +256,21 @@ fn check_server_address(entry: &Entry<'_>, address: SocketAddr, node: Option<u8>
     if address.port() == 0 || !is_a_host(address.ip()) {
         entry.fault(format!("no server can be at {address}"), "name the server's address and port");
     }
+    let zone = matches!(address, SocketAddr::V6(v6) if v6.scope_id() != 0);
+    if is_link_local(address.ip()) && !zone {
+        entry.fault(
+            format!("{} is the same on every interface", address.ip()),
+            format!(
+                "add the interface's number, which `ip link` tells: \"[{}%2]:{}\"; or name \
+                 another address of the server",
+                address.ip(),
+                address.port()
+            ),
+        );
+    } else if zone && !is_link_local(address.ip()) {
+        let without = SocketAddr::new(address.ip(), address.port());
+        entry.fault("only link-local addresses have a zone", format!("write \"{without}\""));
+    }
     if let (IpAddr::V4(ip), Some(node)) = (address.ip(), node)
         && ip.octets()[3] != node
     {
@@ -267,35 +308,6 @@ fn warn_of_unreachable(entry: &Entry<'_>, port: u16, node: u8) {
             format!("choose a public port over {node}"),
         );
     }
-}
-
-fn is_a_host(address: IpAddr) -> bool {
-    let reserved =
-        matches!(address, IpAddr::V4(v4) if v4.octets()[0] == 0 || v4.octets()[0] >= 240);
-    !(reserved || address.is_unspecified() || address.is_multicast())
-}
-
-/// A network, or one address.
-fn network(entry: &Entry<'_>) -> Option<IpNet> {
-    let text = entry.text()?;
-    let network = match text.parse::<IpAddr>() {
-        Ok(address) => IpNet::from(address),
-        Err(_) => entry.parse::<IpNet>()?,
-    };
-    if network != network.trunc() {
-        entry.fault(
-            format!("{network} has bits set beyond its prefix"),
-            format!("write \"{}\"", network.trunc()),
-        );
-        return None;
-    }
-    if let IpNet::V6(v6) = network
-        && v6.network().to_ipv4_mapped().is_some()
-    {
-        entry.fault("IPv4 clients are compared as IPv4", "write the network the IPv4 way");
-        return None;
-    }
-    Some(network)
 }
 
 fn idle_timeout(entry: &Entry<'_>) -> Duration {

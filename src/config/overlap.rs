@@ -7,6 +7,7 @@ use std::hash::Hash;
 use std::net::{IpAddr, SocketAddr};
 
 use super::net::{Claim, Draft};
+use super::section::Entry;
 
 /// Notes every conflict between two nets, once a pair, and every loop.
 pub(super) fn refuse_overlaps(drafts: &[Draft<'_>], listen: &[IpAddr]) {
@@ -91,6 +92,38 @@ fn refuse_loops(drafts: &[Draft<'_>], listen: &[IpAddr]) {
                 format!("server {server} is a public port of this router"),
                 "name the server itself, or datagrams go round in a loop",
             );
+        }
+    }
+}
+
+/// A listener hears clients of its own family alone.
+pub(super) fn warn_of_deaf_listeners(drafts: &[Draft<'_>], listeners: &[(Entry<'_>, IpAddr)]) {
+    for (family, example, is_of) in [
+        ("IPv4", "0.0.0.0", IpAddr::is_ipv4 as fn(&IpAddr) -> bool),
+        ("IPv6", "::", IpAddr::is_ipv6),
+    ] {
+        let mut listeners = listeners.iter().filter(|(_, address)| is_of(address)).peekable();
+        let allowed = drafts.iter().filter_map(|draft| match family {
+            "IPv4" => draft.allowed.ipv4.as_ref(),
+            _ => draft.allowed.ipv6.as_ref(),
+        });
+        let mut allowed = allowed.peekable();
+        match (listeners.peek(), allowed.peek()) {
+            (None, Some(_)) => allowed.for_each(|element| {
+                element.warn(
+                    format!(
+                        "no {family} client can come, for `[public] listen` has {family} nowhere"
+                    ),
+                    format!("add \"{example}\", or one {family} address of this host, to `listen`"),
+                );
+            }),
+            (Some(_), None) if !drafts.is_empty() => listeners.for_each(|(element, address)| {
+                element.warn(
+                    format!("nobody can come by {address}, for no `allow` has {family} networks"),
+                    format!("add the clients' {family} networks to `allow`, or take this one out"),
+                );
+            }),
+            _ => {}
         }
     }
 }

@@ -270,7 +270,14 @@ impl<'a> Entry<'a> {
         self.fault(format!("expected {expected}, found {found}"), remedy);
     }
 
-    fn like(&self) -> String {
+    /// The port of the example, or P-NET's own.
+    pub(super) fn example_port(&self) -> u16 {
+        let example = self.example.trim_matches('"').parse::<std::net::SocketAddr>();
+        example.map_or(34379, |example| example.port())
+    }
+
+    /// What to write instead.
+    pub(super) fn like(&self) -> String {
         format!("write it like `{} = {}`", self.key, self.example)
     }
 }

@@ -172,7 +172,6 @@ fn refuses_addresses_and_ports_that_cannot_be() {
             "write \"198.51.100.0/24\"",
         ),
         ("198.51.100.0/24", "::ffff:198.51.100.0/120", 9, "udp_range_net[0].allow[0]", "IPv4"),
-        ("198.51.100.0/24", "everywhere", 9, "udp_range_net[0].allow[0]", "cannot be read"),
         (
             "node = 7",
             "node = 7\nidle_timeout = \"0s\"",
@@ -199,6 +198,116 @@ fn refuses_addresses_and_ports_that_cannot_be() {
         ("[public]", "limits.max_flows = -1\n[public]", 1, "limits.max_flows", "from 1 to"),
         ("[public]", "admin.listen = \"localhost\"\n[public]", 1, "admin.listen", "127.0.0.1:9378"),
     ]);
+}
+
+#[test]
+fn refuses_addresses_with_what_to_write_instead() {
+    let listen = |to, part| ("192.0.2.1", to, 2, "public.listen[0]", part);
+    let allow = |to, part| ("198.51.100.0/24", to, 9, "udp_range_net[0].allow[0]", part);
+    let server = |to, part| ("172.17.18.7:34379", to, 17, "server[0].address", part);
+    let subnet = |to, part| ("172.17.17.0", to, 7, "udp_range_net[0].subnet", part);
+    refuses(&[
+        allow("plc.example", "names are not looked up; write it like \"198.51.100.0/24\""),
+        allow("any", "write \"0.0.0.0/0\" for every IPv4 address, \"::/0\" for"),
+        allow("ALL", "write \"0.0.0.0/0\""),
+        allow("198.51.100.7/24", "\"198.51.100.0/24\" for the network, \"198.51.100.7/32\" for"),
+        allow("2001:db8::7/64", "\"2001:db8::/64\" for the network, \"2001:db8::7/128\" for"),
+        allow("198.51.100.7/255.255.255.0", "write \"198.51.100.0/24\""),
+        allow("198.51.100.7/33", "from 0 to 32: \"198.51.100.7/32\""),
+        allow("198.51.100.7:4000", "write it without the port: \"198.51.100.7\""),
+        allow("198.51.100.1-9", "write it like \"198.51.100.0/24\""),
+        allow("::ffff:198.51.100.0/120", "write \"198.51.100.0/24\""),
+        listen("router", "names are not looked up; write an address of this host"),
+        listen("any", "write \"0.0.0.0\" for IPv4, \"::\" for IPv6"),
+        listen("fe80::1", "another address of the interface, or \"::\""),
+        listen("fe80::1%eth0", "another address of the interface, or \"::\""),
+        listen("224.0.0.1", "224.0.0.1 is a multicast group"),
+        listen("ff02::1", "ff02::1 is a multicast group"),
+        listen("::ffff:224.0.0.1", "224.0.0.1 is a multicast group"),
+        listen("255.255.255.255", "255.255.255.255 is no address of a host"),
+        listen("240.0.0.1", "no address of a host"),
+        listen("0.1.2.3", "no address of a host"),
+        server(
+            "[fe80::7]:34379",
+            "add the interface's number, which `ip link` tells: \"[fe80::7%2]",
+        ),
+        server("[fe80::7%eth0]:34379", "the zone is the interface's number"),
+        server("[fd00::7%2]:34379", "write \"[fd00::7]:34379\""),
+        server("172.17.18.7", "write it like \"172.17.18.7:34379\""),
+        server("fd00::7", "write it like \"[fd00::7]:34379\""),
+        server("plc:34379", "names are not looked up; write it like `address ="),
+        server("[::ffff:224.0.0.1]:34379", "no server can be at 224.0.0.1:34379"),
+        subnet("172.17.17.0/24", "write \"172.17.17.0\": its mask is always"),
+        (
+            "[public]",
+            "admin.listen = \"localhost:9378\"\n[public]",
+            1,
+            "admin.listen",
+            "names are not looked up; write it like `listen = \"127.0.0.1:9378\"`",
+        ),
+    ]);
+}
+
+/// In IPv6 clothes or not, an IPv4 address is the same.
+#[test]
+fn mapped_addresses_are_ipv4() {
+    refuses(&[
+        (
+            "172.17.18.7:34379\"\nnode = 7",
+            "[::ffff:172.17.17.3]:34379\"\nnode = 3",
+            17,
+            "server[0].address",
+            "server 172.17.17.3:34379 belongs to udp_range_net[0]",
+        ),
+        (
+            "172.17.18.7:34379\"\nnode = 7",
+            "[::ffff:192.0.2.1]:40001\"\nnode = 1",
+            17,
+            "server[0].address",
+            "loop",
+        ),
+    ]);
+    let text = changed("172.17.18.7:34379", "[::ffff:172.17.18.7]:34379")
+        .replace("\"192.0.2.1\"", "\"::ffff:192.0.2.1\"")
+        .replace("198.51.100.7", "::ffff:198.51.100.7")
+        + "[admin]\nlisten = \"[::ffff:127.0.0.1]:9378\"\n";
+    let (config, warnings) = read(&text).unwrap();
+    assert_eq!(warnings, []);
+    assert_eq!(config.listen, ["192.0.2.1".parse::<IpAddr>().unwrap()]);
+    assert_eq!(config.admin.unwrap().listen, "127.0.0.1:9378".parse().unwrap());
+    let press = config.table.mappings()[5];
+    assert_eq!(press.server, "172.17.18.7:34379".parse().unwrap());
+    assert!(config.table.net(press.net).allows("198.51.100.7".parse().unwrap()));
+    let link_local = changed("172.17.18.7:", "[fe80::7%2]:");
+    assert!(read(&link_local).is_ok(), "with its zone");
+}
+
+#[test]
+fn warns_of_clients_that_no_listener_hears() {
+    let told = |listen: &str, allow: &str| -> Vec<String> {
+        let text = changed("\"192.0.2.1\"", listen).replace("\"198.51.100.0/24\"", allow);
+        let (_, warnings) = read(&text).unwrap();
+        warnings
+            .into_iter()
+            .map(|Warning(fault)| format!("{}: {}", fault.key, fault.problem))
+            .collect()
+    };
+    let (range, server) = ("udp_range_net[0].allow", "server[0].allow");
+    let both = "\"0.0.0.0\", \"::\"";
+    assert_eq!(told(both, "\"0.0.0.0/0\", \"::/0\""), [""; 0]);
+    let expected = "no IPv4 client can come, for `[public] listen` has IPv4 nowhere";
+    assert_eq!(
+        told("\"::\"", "\"2001:db8::/32\", \"198.51.100.0/24\", \"203.0.113.0/24\""),
+        [format!("{range}[1]: {expected}"), format!("{server}[0]: {expected}")]
+    );
+    assert_eq!(
+        told("\"192.0.2.1\"", "\"0.0.0.0/0\", \"::/0\""),
+        [format!("{range}[1]: no IPv6 client can come, for `[public] listen` has IPv6 nowhere")]
+    );
+    assert_eq!(
+        told(both, "\"0.0.0.0/0\""),
+        ["public.listen[1]: nobody can come by ::, for no `allow` has IPv6 networks"]
+    );
 }
 
 #[test]

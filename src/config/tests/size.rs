@@ -13,7 +13,9 @@ const MOST_SECONDS: u64 = 120;
 /// Reads a text on a thread of its own.
 fn read_in_time(text: String) -> Result<(Config, Vec<Warning>), Faults> {
     let (done, outcome) = mpsc::channel();
-    thread::spawn(move || done.send(parse(&text, Path::new("pnet-nat.toml"))));
+    thread::spawn(move || {
+        let _ = done.send(parse(&text, Path::new("pnet-nat.toml")));
+    });
     outcome.recv_timeout(Duration::from_secs(MOST_SECONDS)).expect("it is read in time")
 }
 
