@@ -4,6 +4,7 @@
 //! There is no socket and no clock here. The octets are written by hand, so that the codec is not
 //! its own witness.
 
+use std::collections::BTreeSet;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -11,8 +12,8 @@ use std::time::{Duration, Instant};
 use fastrand::Rng;
 use pnet_nat::relay::{
     Arrival, Chance, CloseReason, Core, Counters, Credential, FlowRecord, Limits, ListenerId,
-    Mapping, MappingId, Net, NetId, NetKind, RequestRate, Rules, Shell, Table, ToServer,
-    UpstreamId,
+    Mapping, MappingId, Net, NetId, NetKind, RequestRate, Rules, Shell, Succession, Table,
+    ToServer, Transition, UpstreamId,
 };
 use pnet_nat::wire::{Header, Password};
 
@@ -44,6 +45,8 @@ pub(crate) struct Site {
     pub(crate) sockets: usize,
     /// The nodes expect another password than the clients send.
     pub(crate) device_password: bool,
+    /// What clients send.
+    pub(crate) password: &'static [u8; 8],
 }
 
 impl Default for Site {
@@ -54,7 +57,44 @@ impl Default for Site {
             max_requests: None,
             sockets: 100_000,
             device_password: false,
+            password: PASSWORD,
         }
+    }
+}
+
+impl Site {
+    fn table_and_limits(&self) -> (Arc<Table>, Limits) {
+        let net = Net {
+            name: "section-1".into(),
+            kind: NetKind::UdpRange { start_port: START_PORT },
+            allow: vec!["10.0.0.0/8".parse().unwrap()],
+            credentials: vec![Credential {
+                name: "service".into(),
+                password: Password::new(*self.password),
+                device_password: self.device_password.then(|| Password::new(*DEVICE_PASSWORD)),
+            }],
+            allow_without_password: false,
+            require_response_password: true,
+            idle_timeout: IDLE_TIMEOUT,
+            max_flows: self.max_flows,
+            max_requests: self.max_requests,
+            max_flow_requests: self.max_requests,
+        };
+        let mapping = |node_address| Mapping {
+            net: NetId(0),
+            node_address,
+            public_port: START_PORT + u16::from(node_address),
+            server: server(node_address),
+        };
+        let mappings = (1..=self.nodes).map(mapping).collect();
+        let table = Arc::new(Table::new(Header::default(), vec![net], mappings));
+        let limits = Limits {
+            max_flows: u32::MAX,
+            wrong_password_burst: 10,
+            wrong_password_address_burst: 5120,
+            wrong_password_interval: Duration::from_secs(6),
+        };
+        (table, limits)
     }
 }
 
@@ -63,6 +103,8 @@ pub(crate) struct Rig {
     pub(crate) core: Core,
     pub(crate) shell: NoSockets,
     pub(crate) now: Instant,
+    rules: Rules,
+    counters: Arc<Counters>,
 }
 
 /// Upstream sockets that are only counted.
@@ -90,40 +132,23 @@ impl Shell for NoSockets {
 impl Rig {
     /// A core without flows.
     pub(crate) fn new(site: &Site) -> Self {
-        let net = Net {
-            name: "section-1".into(),
-            kind: NetKind::UdpRange { start_port: START_PORT },
-            allow: vec!["10.0.0.0/8".parse().unwrap()],
-            credentials: vec![Credential {
-                name: "service".into(),
-                password: Password::new(*PASSWORD),
-                device_password: site.device_password.then(|| Password::new(*DEVICE_PASSWORD)),
-            }],
-            allow_without_password: false,
-            require_response_password: true,
-            idle_timeout: IDLE_TIMEOUT,
-            max_flows: site.max_flows,
-            max_requests: site.max_requests,
-            max_flow_requests: site.max_requests,
-        };
-        let mapping = |node_address| Mapping {
-            net: NetId(0),
-            node_address,
-            public_port: START_PORT + u16::from(node_address),
-            server: server(node_address),
-        };
-        let mappings = (1..=site.nodes).map(mapping).collect();
-        let table = Arc::new(Table::new(Header::default(), vec![net], mappings));
-        let counters = Arc::new(Counters::new(&table));
-        let limits = Limits {
-            max_flows: u32::MAX,
-            wrong_password_burst: 10,
-            wrong_password_address_burst: 5120,
-            wrong_password_interval: Duration::from_secs(6),
-        };
+        let (table, limits) = site.table_and_limits();
+        let rules = Rules::new(table, limits);
+        let counters = Arc::new(Counters::new(&rules.table));
         let now = Instant::now();
-        let core = Core::new(Rules::new(table, limits), counters, now, Chance::from_seed(1));
-        Self { core, shell: NoSockets { open: 0, limit: site.sockets }, now }
+        let core = Core::new(rules.clone(), Arc::clone(&counters), now, Chance::from_seed(1));
+        Self { core, shell: NoSockets { open: 0, limit: site.sockets }, now, rules, counters }
+    }
+
+    /// What the core goes over to when the net becomes this one.
+    pub(crate) fn succession(&mut self, site: &Site) -> Succession {
+        let (table, limits) = site.table_and_limits();
+        let rules = self.rules.followed_by(table, limits);
+        let counters = self.counters.followed_by(&self.rules.table, &rules.table);
+        let transition = Arc::new(Transition::new(&self.rules, &rules, BTreeSet::new()));
+        (self.rules, self.counters) = (rules, Arc::new(counters));
+        let (rules, counters) = (self.rules.clone(), Arc::clone(&self.counters));
+        Succession { rules, counters, transition }
     }
 
     /// Closes whatever is to be closed by now.
