@@ -12,6 +12,7 @@ mod flows;
 #[cfg(test)]
 mod handover;
 mod ids;
+mod queue;
 mod rate;
 mod reason;
 mod reload;

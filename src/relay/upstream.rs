@@ -7,7 +7,7 @@
 //! the socket stays open as long as one of its pairs is in use or rests. The kernel picks the
 //! ports, at random (RFC 6056).
 
-use std::collections::{HashMap, VecDeque};
+use std::collections::HashMap;
 use std::net::{IpAddr, SocketAddr};
 
 use foldhash::fast::SeedableRandomState;
@@ -15,6 +15,7 @@ use slab::Slab;
 
 use super::flow::Nanos;
 use super::ids::UpstreamId;
+use super::queue::Queue;
 use super::shell::Shell;
 
 /// How long a pair that a flow gave up is kept from other clients.
@@ -49,7 +50,7 @@ pub(super) struct Upstreams {
     homes: HashMap<(SocketAddr, IpAddr), Home, SeedableRandomState>,
     /// When the pairs that were given up will have rested, in that order. One that was taken up
     /// again since is still here.
-    resting: VecDeque<(Nanos, UpstreamId, SocketAddr)>,
+    resting: Queue<(Nanos, UpstreamId, SocketAddr)>,
     random: fastrand::Rng,
 }
 
@@ -92,7 +93,7 @@ impl Upstreams {
             open: Vec::new(),
             pairs: HashMap::with_hasher(hash.clone()),
             homes: HashMap::with_hasher(hash),
-            resting: VecDeque::new(),
+            resting: Queue::new(),
             random,
         }
     }
@@ -124,7 +125,7 @@ impl Upstreams {
         if let Some(pair) = self.pairs.get_mut(&(socket, server)) {
             let end = now + REST;
             pair.state = PairState::RestsUntil(end);
-            self.resting.push_back((end, socket, server));
+            self.resting.push((end, socket, server));
         }
     }
 
@@ -132,11 +133,8 @@ impl Upstreams {
     /// at a time. Tells whether there are more.
     pub(super) fn expire(&mut self, now: Nanos, shell: &mut impl Shell) -> bool {
         for _ in 0..AT_ONCE {
-            match self.resting.front() {
-                Some((end, ..)) if *end <= now => {}
-                _ => return false,
-            }
-            let Some((end, socket, server)) = self.resting.pop_front() else { return false };
+            let rested = self.resting.pop_if(|&(end, ..)| end <= now);
+            let Some((end, socket, server)) = rested else { return false };
             let Some(pair) = self.pairs.get(&(socket, server)).copied() else { continue };
             if pair.state == PairState::RestsUntil(end) {
                 self.pairs.remove(&(socket, server));
