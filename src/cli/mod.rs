@@ -1,6 +1,7 @@
 //! The command line: one file a command.
 //!
-//! Exit codes: 0 done, 1 failed at run time, 2 bad command line or configuration.
+//! Exit codes: 0 done, 1 failed at run time, 2 bad command line or configuration, 75 not started, but
+//! another try may succeed.
 
 mod check;
 mod decode;
@@ -33,7 +34,8 @@ use crate::wire::Password;
 #[derive(Parser)]
 #[command(name = "pnet-nat", version = env!("PNET_NAT_VERSION"), propagate_version = true)]
 #[command(after_help = "Try it with nothing set up:  pnet-nat demo\n\
-    Exit codes: 0 done, 1 failed at run time, 2 bad command line or configuration.")]
+    Exit codes: 0 done, 1 failed at run time, 2 bad command line or configuration, 75 not started \
+    because of something that may pass by itself, such as a port in use: try again.")]
 struct Cli {
     /// How log lines are written to stderr: text, json, or auto: text on a terminal, else JSON.
     #[arg(
@@ -76,6 +78,9 @@ enum Command {
 
 /// Bad command line or configuration.
 const BAD_USE: u8 = 2;
+
+/// Not started because of something that may pass by itself (EX_TEMPFAIL of sysexits.h).
+const TRY_AGAIN: u8 = 75;
 
 /// Heading of the options that every command has.
 const LOGGING: &str = "Logging";

@@ -73,7 +73,7 @@ async fn serve(args: Args) -> anyhow::Result<ExitCode> {
     let mut out = stdout();
     let mut nodes = Vec::new();
     for address in args.listen.iter().flat_map(AddressRange::addresses) {
-        nodes.push(ServerNode::bind(settings(&args, address)).await?);
+        nodes.push(ServerNode::bind(settings(&args, address))?);
     }
     let mut serving = JoinSet::new();
     let mut counts = Vec::new();

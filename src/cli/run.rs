@@ -1,10 +1,13 @@
 //! `pnet-nat run`: the relay, until a signal ends it.
 
 use std::future;
-use std::net::{SocketAddr, TcpListener as StdListener};
+use std::io;
+use std::net::TcpListener as StdListener;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Arc;
+use std::thread;
+use std::time::{Duration, Instant};
 
 use anyhow::Context;
 use tokio::net::TcpListener;
@@ -13,14 +16,21 @@ use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio::sync::Notify;
 
 use super::signals::Signals;
-use super::{BAD_USE, complain, load, told};
+use super::{BAD_USE, TRY_AGAIN, complain, load, told};
 use crate::admin;
-use crate::config::{self, Config, Warning};
+use crate::config::{self, Admin, Config, Warning};
 use crate::log::{self, Noise};
-use crate::net::{Bound, Router};
+use crate::net::{self, Bound, ListenError, Router, StartError};
 use crate::reload::Reloader;
 use crate::sandbox::{self, Sandbox, User};
 use crate::service;
+use crate::thread::ThreadError;
+
+/// How long an IPv6 address may stay tentative: the kernel asks for a second or two whether another
+/// machine has it.
+const ADDRESS_TIME: Duration = Duration::from_secs(5);
+/// How often it is looked whether it is there.
+const ADDRESS_LOOK: Duration = Duration::from_millis(100);
 
 /// Relay between clients on the Internet and the server nodes of a plant.
 ///
@@ -69,8 +79,15 @@ pub(super) fn run(args: &Args) -> anyhow::Result<ExitCode> {
     let sandbox = prepared.map_or_else(Sandbox::off, |prepared| prepared.confine(&files));
     sandbox.announce();
     let _log = log::in_background();
-    let router = Arc::new(router.start()?);
-    let reloader = Reloader::start(args.config.clone(), Arc::clone(&router))?;
+    let started = router.start().map_err(anyhow::Error::from).and_then(|router| {
+        let router = Arc::new(router);
+        let reloader = Reloader::start(args.config.clone(), Arc::clone(&router))?;
+        Ok((router, reloader))
+    });
+    let (router, reloader) = match started {
+        Ok(started) => started,
+        Err(error) => return Ok(refuse(error)),
+    };
     relay(runtime, hangup, router, admin, reloader, sandbox)
 }
 
@@ -88,24 +105,51 @@ fn read(path: &Path, becomes_user: bool) -> Result<(Config, Vec<Warning>, Option
     Ok((config, warnings, Some(user)))
 }
 
-/// Says why nothing is started.
+/// Says why nothing is started, and whether another try may succeed.
 fn refuse(error: impl Into<anyhow::Error>) -> ExitCode {
-    complain(format_args!("pnet-nat: {:#}", error.into()));
-    ExitCode::from(BAD_USE)
+    let error = error.into();
+    complain(format_args!("pnet-nat: {error:#}"));
+    ExitCode::from(if may_pass(&error) { TRY_AGAIN } else { BAD_USE })
 }
 
-/// Binds everything, or nothing.
+fn may_pass(error: &anyhow::Error) -> bool {
+    error.chain().any(|cause| {
+        let start = cause.downcast_ref::<StartError>().map(StartError::may_pass);
+        let listen = || cause.downcast_ref::<ListenError>().map(ListenError::may_pass);
+        let thread = || cause.is::<ThreadError>().then_some(true);
+        let system = || cause.downcast_ref::<io::Error>().map(net::may_pass);
+        start.or_else(listen).or_else(thread).or_else(system).unwrap_or(false)
+    })
+}
+
+/// Binds everything, or nothing. Waits for an address that the host is about to have.
 fn bind(config: Config) -> anyhow::Result<(Bound, Option<StdListener>)> {
-    let admin = config.admin.as_ref().map(|admin| bind_admin(admin.listen)).transpose()?;
-    Ok((Router::bind(config)?, admin))
+    let end = Instant::now() + ADDRESS_TIME;
+    let mut told = false;
+    loop {
+        match try_to_bind(config.clone()) {
+            Err(error) if passes_soon(&error) && Instant::now() < end => {
+                if !told {
+                    tracing::warn!("{error:#}: waiting for it");
+                }
+                told = true;
+                thread::sleep(ADDRESS_LOOK);
+            }
+            outcome => return outcome,
+        }
+    }
 }
 
-fn bind_admin(address: SocketAddr) -> anyhow::Result<StdListener> {
-    let listener = StdListener::bind(address).with_context(|| {
-        format!("the admin server cannot listen on {address}; see [admin] listen")
-    })?;
-    listener.set_nonblocking(true)?;
-    Ok(listener)
+fn passes_soon(error: &anyhow::Error) -> bool {
+    let start = error.downcast_ref::<StartError>().is_some_and(StartError::passes_soon);
+    start || error.downcast_ref::<ListenError>().is_some_and(ListenError::passes_soon)
+}
+
+fn try_to_bind(config: Config) -> anyhow::Result<(Bound, Option<StdListener>)> {
+    let listen = |admin: &Admin| net::tcp(admin.listen, "[admin] listen");
+    let admin = config.admin.as_ref().map(listen).transpose();
+    let admin = admin.context("the admin server cannot start; see [admin] listen")?;
+    Ok((Router::bind(config)?, admin))
 }
 
 fn relay(

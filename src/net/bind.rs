@@ -14,39 +14,19 @@ use crate::thread::ThreadError;
 
 use super::descriptors::TooFewDescriptors;
 use super::filtered::{FilteredSocket, NetDrops};
+use super::listen::{self, CallError, ListenError};
 use super::public::{Listener, Listeners};
 use super::socket;
 
-/// Why a router cannot have the sockets that a configuration names.
+/// Why a router does not start.
 #[derive(Debug, thiserror::Error)]
 pub enum StartError {
     /// The process may not have enough file descriptors.
     #[error(transparent)]
     Descriptors(#[from] TooFewDescriptors),
-    /// The process has no file descriptor left.
-    #[error(
-        "no file descriptor is left for UDP {0}; raise the hard limit (ulimit -Hn, LimitNOFILE=, \
-         --ulimit nofile=)"
-    )]
-    OutOfDescriptors(SocketAddr),
-    /// Another program has the port.
-    #[error("UDP port {0} is in use; stop what uses it (ss -lunp), or choose another port")]
-    PortInUse(SocketAddr),
-    /// The address is not the host's.
-    #[error(
-        "{} is no address of this host; correct [public] listen (ip address shows what there is)",
-        .0.ip()
-    )]
-    NotOurAddress(SocketAddr),
-    /// A port below 1024 without the capability for it.
-    #[error(
-        "UDP port {0} needs CAP_NET_BIND_SERVICE, which is given up after the start; choose ports \
-         above 1023, or restart with that capability"
-    )]
-    NotPermitted(SocketAddr),
-    /// Another error of the system.
-    #[error("cannot listen on UDP {0}")]
-    Listen(SocketAddr, #[source] io::Error),
+    /// A public socket cannot be had.
+    #[error(transparent)]
+    Listen(#[from] ListenError),
     /// The system does not tell of what arrives.
     #[error("cannot wait for datagrams; is sysctl fs.epoll.max_user_watches reached?")]
     Watch(#[source] io::Error),
@@ -56,6 +36,23 @@ pub enum StartError {
     /// Another error of the system, not about one address.
     #[error("cannot start a worker")]
     Worker(#[from] io::Error),
+}
+
+impl StartError {
+    /// Whether it may pass by itself, so that another try may succeed.
+    pub fn may_pass(&self) -> bool {
+        match self {
+            Self::Descriptors(_) => false,
+            Self::Listen(error) => error.may_pass(),
+            Self::Thread(_) => true,
+            Self::Watch(error) | Self::Worker(error) => listen::may_pass(error),
+        }
+    }
+
+    /// Whether it passes within seconds.
+    pub fn passes_soon(&self) -> bool {
+        matches!(self, Self::Listen(error) if error.passes_soon())
+    }
 }
 
 /// The public sockets of each worker for this configuration, whose nets' figures are `drops`: those
@@ -90,12 +87,14 @@ pub(super) fn open(
     for (address, mapping) in new {
         let Some(id) = ids.find(|&id| next[0].get(id).is_none()) else { break };
         let sockets = socket::public(address, workers, config.runtime.receive_buffer);
-        let sockets = sockets.map_err(|error| StartError::listen(address, error))?;
+        let failed = |error| ListenError::new("UDP", address, "[public] listen", error);
+        let sockets = sockets.map_err(failed)?;
         for (next, socket) in next.iter_mut().zip(sockets) {
             let listener = listener(Arc::new(FilteredSocket::new(socket)), address, mapping);
             if config.runtime.prefilter == Prefilter::Always {
                 let on = listener.filter(true, &config.table);
-                on.map_err(|error| StartError::Listen(address, error))?;
+                let on = on.map_err(CallError::of("setsockopt SO_ATTACH_FILTER"));
+                on.map_err(failed)?;
             }
             next.put(id, listener);
         }
@@ -124,16 +123,4 @@ fn wanted(config: &Config) -> impl Iterator<Item = (SocketAddr, MappingId)> {
         let listen = config.listen.iter();
         listen.map(move |&address| (SocketAddr::new(address, mapping.public_port), id))
     })
-}
-
-impl StartError {
-    fn listen(address: SocketAddr, error: io::Error) -> Self {
-        match error.kind() {
-            io::ErrorKind::AddrInUse => Self::PortInUse(address),
-            io::ErrorKind::AddrNotAvailable => Self::NotOurAddress(address),
-            io::ErrorKind::PermissionDenied => Self::NotPermitted(address),
-            _ if error.raw_os_error() == Some(libc::EMFILE) => Self::OutOfDescriptors(address),
-            _ => Self::Listen(address, error),
-        }
-    }
 }

@@ -23,6 +23,7 @@ use super::bind::{self, StartError};
 use super::descriptors::{self, Plan};
 use super::filtered::NetDrops;
 use super::in_force::InForce;
+use super::listen;
 use super::ports::Ports;
 use super::public::Listeners;
 use super::reload::LastReload;
@@ -91,6 +92,7 @@ impl Router {
     /// Binds every socket, and starts no thread yet.
     pub fn bind(config: Config) -> Result<Bound, StartError> {
         let started = Instant::now();
+        listen::look_up();
         let plan = descriptors::plan(addresses(&config), config.runtime.workers)?;
         let drops: Vec<Arc<NetDrops>> =
             config.table.nets().iter().map(|_| Arc::default()).collect();

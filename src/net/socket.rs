@@ -13,6 +13,7 @@ use nix::errno::Errno;
 use nix::sys::socket::{setsockopt, sockopt};
 use socket2::{Domain, Protocol, Socket, Type};
 
+use super::listen::CallError;
 use super::ports::{Port, Ports};
 use super::steer;
 
@@ -28,25 +29,30 @@ pub(super) fn public(
     address: SocketAddr,
     workers: usize,
     receive_buffer: usize,
-) -> io::Result<Vec<Socket>> {
+) -> Result<Vec<Socket>, CallError> {
+    let share = |socket: &Socket| {
+        socket.set_reuse_port(true).map_err(CallError::of("setsockopt SO_REUSEPORT"))
+    };
+    let bind = |socket: &Socket| socket.bind(&address.into()).map_err(CallError::of("bind"));
     // The first binds alone, so that a port which another program uses is noticed even when that
     // program is willing to share. It shares afterwards.
     let first = udp(address.is_ipv4(), receive_buffer)?;
     tell_local_address(&first, address.ip())?;
-    first.bind(&address.into())?;
+    bind(&first)?;
     let mut sockets = vec![first];
     if workers > 1 {
-        sockets[0].set_reuse_port(true)?;
+        share(&sockets[0])?;
     }
     for _ in 1..workers {
         let socket = udp(address.is_ipv4(), receive_buffer)?;
         tell_local_address(&socket, address.ip())?;
-        socket.set_reuse_port(true)?;
-        socket.bind(&address.into())?;
+        share(&socket)?;
+        bind(&socket)?;
         sockets.push(socket);
     }
     if workers > 1 {
-        steer::by_client(&sockets[0], workers)?;
+        let failed = CallError::of("setsockopt SO_ATTACH_REUSEPORT_CBPF");
+        steer::by_client(&sockets[0], workers).map_err(failed)?;
     }
     Ok(sockets)
 }
@@ -58,10 +64,11 @@ pub(super) fn upstream(
     ports: &Arc<Ports>,
 ) -> io::Result<(Socket, Port)> {
     let socket = udp(ipv4, receive_buffer)?;
-    socket.set_send_buffer_size(SEND_BUFFER)?;
+    let sized = socket.set_send_buffer_size(SEND_BUFFER);
+    sized.map_err(CallError::of("setsockopt SO_SNDBUF"))?;
     let any: IpAddr =
         if ipv4 { Ipv4Addr::UNSPECIFIED.into() } else { Ipv6Addr::UNSPECIFIED.into() };
-    let port = ports.bind(&socket, any)?;
+    let port = ports.bind(&socket, any).map_err(CallError::of("bind"))?;
     Ok((socket, port))
 }
 
@@ -99,16 +106,18 @@ pub(super) fn kernel_drops(socket: &Socket) -> io::Result<u32> {
     }
 }
 
-fn udp(ipv4: bool, receive_buffer: usize) -> io::Result<Socket> {
+fn udp(ipv4: bool, receive_buffer: usize) -> Result<Socket, CallError> {
     let domain = if ipv4 { Domain::IPV4 } else { Domain::IPV6 };
-    let socket = Socket::new(domain, Type::DGRAM.nonblocking(), Some(Protocol::UDP))?;
+    let socket = Socket::new(domain, Type::DGRAM.nonblocking(), Some(Protocol::UDP))
+        .map_err(CallError::of("socket"))?;
     if !ipv4 {
         // An IPv4 socket beside it serves IPv4.
-        socket.set_only_v6(true)?;
+        socket.set_only_v6(true).map_err(CallError::of("setsockopt IPV6_V6ONLY"))?;
     }
-    socket.set_recv_buffer_size(receive_buffer)?;
+    let sized = socket.set_recv_buffer_size(receive_buffer);
+    sized.map_err(CallError::of("setsockopt SO_RCVBUF"))?;
     if ipv4 {
-        stay_whole(&socket)?;
+        stay_whole(&socket).map_err(CallError::of("setsockopt IP_MTU_DISCOVER"))?;
     }
     Ok(socket)
 }
@@ -132,13 +141,12 @@ fn stay_whole(socket: &Socket) -> io::Result<()> {
 }
 
 /// A socket on all addresses has to learn which one a request came to, and to answer from it.
-fn tell_local_address(socket: &Socket, bound: IpAddr) -> io::Result<()> {
+fn tell_local_address(socket: &Socket, bound: IpAddr) -> Result<(), CallError> {
     match bound {
-        IpAddr::V4(Ipv4Addr::UNSPECIFIED) => setsockopt(socket, sockopt::Ipv4PacketInfo, &true)?,
-        IpAddr::V6(Ipv6Addr::UNSPECIFIED) => {
-            setsockopt(socket, sockopt::Ipv6RecvPacketInfo, &true)?;
-        }
-        _ => {}
+        IpAddr::V4(Ipv4Addr::UNSPECIFIED) => setsockopt(socket, sockopt::Ipv4PacketInfo, &true)
+            .map_err(CallError::of("setsockopt IP_PKTINFO")),
+        IpAddr::V6(Ipv6Addr::UNSPECIFIED) => setsockopt(socket, sockopt::Ipv6RecvPacketInfo, &true)
+            .map_err(CallError::of("setsockopt IPV6_RECVPKTINFO")),
+        _ => Ok(()),
     }
-    Ok(())
 }

@@ -8,7 +8,7 @@ mod client;
 mod node;
 
 pub use client::{Answer, Client, ExchangeError, Request, Target};
-pub use node::{BindError, NodeCounts, NodeSettings, Reply, ServerNode, echo};
+pub use node::{NodeCounts, NodeSettings, Reply, ServerNode, echo};
 
 #[cfg(test)]
 mod tests;

@@ -6,7 +6,7 @@
 //! address, with its password when it comes to the Secure port.
 
 use std::io;
-use std::net::{Ipv4Addr, SocketAddrV4};
+use std::net::Ipv4Addr;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 use std::time::Duration;
@@ -14,6 +14,7 @@ use std::time::Duration;
 use arrayvec::ArrayVec;
 use tokio::net::UdpSocket;
 
+use crate::net::{self, ListenError};
 use crate::wire::{
     Datagram, DatagramRepr, DlRoute, DlRouteError, Header, Indication, MAX_DATA, MAX_DATAGRAM,
     NCNA, Password, RouteBuf,
@@ -71,18 +72,6 @@ impl NodeCounts {
     }
 }
 
-/// A port that a node could not get.
-#[derive(Debug, thiserror::Error)]
-#[error(
-    "cannot listen on {address}: {reason}; give an address of this host and a port that is free"
-)]
-pub struct BindError {
-    /// The address and port.
-    pub address: SocketAddrV4,
-    /// What the system said.
-    pub reason: io::Error,
-}
-
 /// A simulated server node whose ports are open (R-2, PAS 7).
 #[derive(Debug)]
 pub struct ServerNode {
@@ -94,9 +83,9 @@ pub struct ServerNode {
 
 impl ServerNode {
     /// Opens the node's ports. Nothing is answered before [`serve`](Self::serve).
-    pub async fn bind(mut settings: NodeSettings) -> Result<Self, BindError> {
-        let normal = bind(settings.address, &mut settings.normal_port).await?;
-        let secure = bind(settings.address, &mut settings.secure_port).await?;
+    pub fn bind(mut settings: NodeSettings) -> Result<Self, ListenError> {
+        let normal = bind(settings.address, &mut settings.normal_port)?;
+        let secure = bind(settings.address, &mut settings.secure_port)?;
         Ok(Self { settings, normal, secure, counts: Arc::default() })
     }
 
@@ -203,10 +192,10 @@ impl NodeSettings {
     }
 }
 
-async fn bind(address: Ipv4Addr, port: &mut u16) -> Result<UdpSocket, BindError> {
-    let address = SocketAddrV4::new(address, *port);
-    let failed = |reason| BindError { address, reason };
-    let socket = UdpSocket::bind(address).await.map_err(failed)?;
-    *port = socket.local_addr().map_err(failed)?.port();
+fn bind(address: Ipv4Addr, port: &mut u16) -> Result<UdpSocket, ListenError> {
+    let socket = net::udp((address, *port).into(), "--listen")?;
+    if let Ok(address) = socket.local_addr() {
+        *port = address.port();
+    }
     Ok(socket)
 }

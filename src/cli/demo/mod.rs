@@ -11,6 +11,7 @@ mod traffic;
 
 use std::cell::Cell;
 use std::future;
+use std::net::Ipv4Addr;
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -22,7 +23,7 @@ use tokio::sync::oneshot;
 use super::signals::Signals;
 use crate::admin;
 use crate::log;
-use crate::net::Router;
+use crate::net::{self, Router};
 use crate::sandbox::Sandbox;
 
 use figures::Figures;
@@ -31,7 +32,7 @@ use table::Display;
 use traffic::Traffic;
 
 /// The admin server listens here when it can, and on any free port otherwise.
-const ADMIN: &str = "127.0.0.1:9378";
+const ADMIN_PORT: u16 = 9378;
 
 /// Show four simulated server nodes, the relay, a remote client and a stranger, all on loopback.
 #[derive(Debug, clap::Args)]
@@ -56,10 +57,8 @@ pub(super) fn run(args: Args) -> anyhow::Result<ExitCode> {
 
 async fn demo(args: Args) -> anyhow::Result<ExitCode> {
     let plant = Plant::build().await?;
-    let admin = match TcpListener::bind(ADMIN).await {
-        Ok(listener) => listener,
-        Err(_) => TcpListener::bind("127.0.0.1:0").await?,
-    };
+    let listen = |port| net::tcp((Ipv4Addr::LOCALHOST, port).into(), "the demo's address");
+    let admin = TcpListener::from_std(listen(ADMIN_PORT).or_else(|_| listen(0))?)?;
     let admin_address = admin.local_addr()?;
     let router = Router::start(plant.config(admin_address)).context("the relay does not start")?;
     let router = Arc::new(router);

@@ -12,7 +12,8 @@ use arrayvec::ArrayVec;
 use tokio::task::JoinSet;
 
 use crate::config::{Admin, Config, Runtime};
-use crate::peer::{BindError, NodeCounts, NodeSettings, ServerNode, Target};
+use crate::net::ListenError;
+use crate::peer::{NodeCounts, NodeSettings, ServerNode, Target};
 use crate::relay::{Credential, Limits, Mapping, Net, NetId, NetKind, Table};
 use crate::wire::{Header, MAX_DATA, Password};
 
@@ -49,7 +50,7 @@ impl Plant {
         let password = random_password()?;
         let start_port = free_start_port()?;
         let mut serving = JoinSet::new();
-        let nodes = bind_nodes(&password).await?.into_iter().map(|node| {
+        let nodes = bind_nodes(&password)?.into_iter().map(|node| {
             let settings = node.settings();
             let node_address = settings.node_address();
             let plant_node = PlantNode {
@@ -127,19 +128,17 @@ pub(super) fn reading(node_address: u8, request: &[u8]) -> ArrayVec<u8, MAX_DATA
 }
 
 /// The nodes at 127.17.17.x, or in the next subnet where their ports are free.
-async fn bind_nodes(password: &Password) -> Result<Vec<ServerNode>, BindError> {
+fn bind_nodes(password: &Password) -> Result<Vec<ServerNode>, ListenError> {
     let mut subnet = 17;
     loop {
-        match bind_subnet(subnet, password).await {
-            Err(taken) if taken.reason.kind() == io::ErrorKind::AddrInUse && subnet < 255 => {
-                subnet += 1;
-            }
+        match bind_subnet(subnet, password) {
+            Err(error) if error.is_in_use() && subnet < 255 => subnet += 1,
             outcome => return outcome,
         }
     }
 }
 
-async fn bind_subnet(subnet: u8, password: &Password) -> Result<Vec<ServerNode>, BindError> {
+fn bind_subnet(subnet: u8, password: &Password) -> Result<Vec<ServerNode>, ListenError> {
     let mut nodes = Vec::new();
     for node_address in NODES {
         let settings = NodeSettings {
@@ -151,7 +150,7 @@ async fn bind_subnet(subnet: u8, password: &Password) -> Result<Vec<ServerNode>,
             delay: Duration::from_millis(node_address.into()),
             reply: reading,
         };
-        nodes.push(ServerNode::bind(settings).await?);
+        nodes.push(ServerNode::bind(settings)?);
     }
     Ok(nodes)
 }
