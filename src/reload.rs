@@ -5,23 +5,25 @@
 //! the reload is given up after a while and never comes into force: later ones are refused until the
 //! thread is back.
 
-use std::error::Error;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering::SeqCst};
-use std::sync::mpsc;
+use std::sync::mpsc::{self, RecvTimeoutError};
 use std::time::Duration;
 
 use tokio::sync::{Mutex, oneshot};
 use tokio::time::timeout;
 
 use crate::config::{self, Changes, Config, Faults, Warning};
-use crate::net::{ReloadError, Router};
+use crate::net::{ReloadError, Router, chain};
 use crate::service;
 use crate::thread::{self, ThreadError};
 
 /// How long reading the files of a configuration may take.
 const READING_TIME: Duration = Duration::from_secs(30);
+
+/// How often sockets that could not be had are tried again.
+const RETRY_INTERVAL: Duration = Duration::from_secs(1);
 
 /// A router and the file that its configuration is in.
 #[derive(Clone, Debug)]
@@ -56,6 +58,7 @@ impl Reloader {
         let reloader = self.clone();
         let reload = tokio::spawn(async move {
             let thread = reloader.thread.lock().await;
+            reloader.router.begin_reload();
             service::reloading();
             let outcome = match reloader.read(&thread).await {
                 Ok(config) => apply(&thread, config).await,
@@ -100,7 +103,23 @@ async fn apply(thread: &mpsc::Sender<Order>, config: Config) -> Result<Changes, 
 
 /// What the thread does, until the process ends.
 fn obey(orders: &mpsc::Receiver<Order>, path: &Path, router: &Router, is_stuck: &AtomicBool) {
-    for order in orders {
+    loop {
+        let order = if router.misses_sockets() {
+            orders.recv_timeout(RETRY_INTERVAL)
+        } else {
+            orders.recv().map_err(Into::into)
+        };
+        let order = match order {
+            Ok(order) => order,
+            Err(RecvTimeoutError::Timeout) => {
+                router.retry();
+                if !router.misses_sockets() {
+                    service::ready(router);
+                }
+                continue;
+            }
+            Err(RecvTimeoutError::Disconnected) => return,
+        };
         match order {
             Order::Read(reply) => {
                 if reply.send(config::load(path)).is_err() {
@@ -147,7 +166,12 @@ fn log_changes(changes: &Changes) {
         credentials_withdrawn,
         credentials_changed,
         flows_closed,
+        not_in_force,
     } = changes;
+    for item in not_in_force {
+        tracing::warn!(what = item.what, why = item.why, "not in force");
+    }
+    let not_in_force: Vec<_> = not_in_force.iter().map(ToString::to_string).collect();
     tracing::info!(
         settings_changed = list(settings_changed),
         nets_added = list(nets_added),
@@ -160,18 +184,11 @@ fn log_changes(changes: &Changes) {
         credentials_withdrawn = list(credentials_withdrawn),
         credentials_changed = list(credentials_changed),
         flows_closed,
+        not_in_force = list(&not_in_force),
         "reload"
     );
 }
 
 fn list(names: &[impl AsRef<str>]) -> String {
     names.iter().map(AsRef::as_ref).collect::<Vec<_>>().join("; ")
-}
-
-/// An error and what caused it.
-fn chain(error: &dyn Error) -> String {
-    match error.source() {
-        Some(cause) => format!("{error}: {}", chain(cause)),
-        None => error.to_string(),
-    }
 }

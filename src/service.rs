@@ -47,7 +47,12 @@ pub async fn watchdog(router: Arc<Router>) -> ! {
 fn status(router: &Router) -> String {
     let in_force = router.in_force();
     let (nets, mappings) = (in_force.config.table.nets(), in_force.config.table.mappings());
-    let kept = if router.last_reload().successful { "" } else { "reload failed, as before: " };
+    let last = router.last_reload();
+    let kept = match (&last.error, last.successful()) {
+        (Some(_), _) => "reload failed, as before: ",
+        (None, false) => "not all of the configuration is in force: ",
+        (None, true) => "",
+    };
     format!("{kept}relaying; nets: {}, public ports: {}", nets.len(), mappings.len())
 }
 

@@ -20,11 +20,11 @@ use serde::{Deserialize, Serialize, Serializer};
 use super::Shared;
 use super::turn::Turn;
 use crate::COMMIT;
-use crate::config::Config;
+use crate::config::{Config, NotInForce};
 use crate::metrics::totals::{
     self, BucketTotals, DirectionTotals, NetTotals, NodeTotals, Presence, ResponseTotals,
 };
-use crate::net::InForce;
+use crate::net::{InForce, LastReload};
 use crate::relay::{
     CloseReason, Credential, Direction, FlowRecord, Mapping, MappingId, Net, NetId, NetKind,
     RESPONSE_BUCKETS, RequestRate, SourceSketch, Table,
@@ -62,7 +62,7 @@ const KERNEL_DROPS: [(&str, &str); 4] = [
 
 /// `GET /api/v1/status`
 pub(super) async fn status(State(shared): State<Shared>) -> Response {
-    Json(Status::of(&shared)).into_response()
+    Json(Status::of(&shared, &shared.router.last_reload())).into_response()
 }
 
 /// `GET /api/v1/drop-reasons`
@@ -198,7 +198,7 @@ struct Status<'a> {
     commit: Option<&'static str>,
     ready: bool,
     uptime_seconds: f64,
-    reload: ReloadState,
+    reload: ReloadState<'a>,
     workers: usize,
     public_ports: usize,
     max_flows: u32,
@@ -215,12 +215,37 @@ struct Status<'a> {
     sandbox: Vec<LayerState<'a>>,
 }
 
+/// How the last reload went.
 #[derive(Serialize)]
-struct ReloadState {
-    /// False: the configuration that was last read has a fault, and the one before it is in force.
+struct ReloadState<'a> {
+    /// All of the configuration that was last read is in force.
     successful: bool,
     /// Since the configuration in force came into force.
     in_force_seconds: f64,
+    /// Reloads that have begun since the start.
+    begun: u64,
+    /// Which of them this tells of; 0: the start.
+    number: u64,
+    /// Why it changed nothing; null: it did not fail.
+    error: Option<&'a str>,
+    /// The faults of what was read.
+    faults: &'a [String],
+    /// What the configuration has that is in force, but for this.
+    not_in_force: Vec<&'a NotInForce>,
+}
+
+impl<'a> ReloadState<'a> {
+    fn of(last: &'a LastReload) -> Self {
+        Self {
+            successful: last.successful(),
+            in_force_seconds: last.success_at.elapsed().as_secs_f64(),
+            begun: last.begun,
+            number: last.number,
+            error: last.error.as_deref(),
+            faults: &last.faults,
+            not_in_force: last.not_in_force().collect(),
+        }
+    }
 }
 
 #[derive(Serialize)]
@@ -232,23 +257,20 @@ struct LayerState<'a> {
 }
 
 impl<'a> Status<'a> {
-    fn of(shared: &'a Shared) -> Self {
+    fn of(shared: &'a Shared, last_reload: &'a LastReload) -> Self {
         let state = |(layer, state): (Layer, &'a sandbox::State)| LayerState {
             layer: layer.label(),
             state: state.label(),
             why: state.why(),
         };
-        let (in_force, last_reload) = (shared.router.in_force(), shared.router.last_reload());
+        let in_force = shared.router.in_force();
         let Config { table, limits, .. } = &in_force.config;
         Self {
             version: env!("CARGO_PKG_VERSION"),
             commit: Some(COMMIT).filter(|commit| !commit.is_empty()),
             ready: shared.router.is_ready(),
             uptime_seconds: shared.router.started().elapsed().as_secs_f64(),
-            reload: ReloadState {
-                successful: last_reload.successful,
-                in_force_seconds: last_reload.success_at.elapsed().as_secs_f64(),
-            },
+            reload: ReloadState::of(last_reload),
             workers: in_force.counters.len(),
             public_ports: table.mappings().len(),
             max_flows: limits.max_flows,

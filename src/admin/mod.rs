@@ -187,7 +187,8 @@ async fn reload(State(shared): State<Shared>) -> Response {
     };
     drop(in_force);
     match reloader.reload().await {
-        Ok(changes) => Json(changes).into_response(),
+        Ok(changes) if changes.not_in_force.is_empty() => Json(changes).into_response(),
+        Ok(changes) => (StatusCode::CONFLICT, Json(changes)).into_response(),
         Err(faults) => (StatusCode::UNPROCESSABLE_ENTITY, faults + "\n").into_response(),
     }
 }

@@ -1,6 +1,7 @@
 //! What a new configuration changes, in names that people know from the file.
 
 use std::collections::BTreeMap;
+use std::fmt::{self, Display, Formatter};
 
 use serde::Serialize;
 
@@ -33,6 +34,23 @@ pub struct Changes {
     pub credentials_changed: Vec<String>,
     /// Flows that had no place in the new configuration.
     pub flows_closed: usize,
+    /// What the new configuration has and what is not in force all the same.
+    pub not_in_force: Vec<NotInForce>,
+}
+
+/// Something of a configuration that is not in force.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct NotInForce {
+    /// A setting, or a public address with its ports.
+    pub what: String,
+    /// Why not, and what to do.
+    pub why: String,
+}
+
+impl Display for NotInForce {
+    fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
+        write!(f, "{}: {}", self.what, self.why)
+    }
 }
 
 impl Changes {
@@ -58,6 +76,7 @@ impl Changes {
             credentials_withdrawn: named(credentials.removed),
             credentials_changed: named(credentials.changed),
             flows_closed: 0,
+            not_in_force: Vec::new(),
         }
     }
 }
@@ -157,14 +176,20 @@ fn settings(old: &Config, new: &Config) -> Vec<&'static str> {
 /// Nodes of each net, runs of them as the file has them.
 fn by_net(nodes: &[(&str, u8)]) -> Vec<String> {
     let of_net = |nodes: &[(&str, u8)]| {
-        let runs = nodes.chunk_by(|(_, node), (_, next)| node + 1 == *next);
-        let runs = runs.map(|run| match run {
-            [(_, first), .., (_, last)] => format!("{first}-{last}"),
-            run => run[0].1.to_string(),
-        });
-        format!("{}: {}", nodes[0].0, runs.collect::<Vec<_>>().join(", "))
+        let numbers: Vec<_> = nodes.iter().map(|(_, node)| u16::from(*node)).collect();
+        format!("{}: {}", nodes[0].0, runs(&numbers))
     };
     nodes.chunk_by(|(net, _), (next, _)| net == next).map(of_net).collect()
+}
+
+/// Rising numbers as runs: "1-4, 33".
+pub(crate) fn runs(numbers: &[u16]) -> String {
+    let runs = numbers.chunk_by(|number, next| number.checked_add(1) == Some(*next));
+    let runs = runs.map(|run| match run {
+        [first, .., last] => format!("{first}-{last}"),
+        run => run[0].to_string(),
+    });
+    runs.collect::<Vec<_>>().join(", ")
 }
 
 #[cfg(test)]
@@ -211,6 +236,7 @@ mod tests {
             credentials_withdrawn: vec!["section-1: team-b".into()],
             credentials_changed: vec!["section-1: service".into()],
             flows_closed: 0,
+            not_in_force: Vec::new(),
         };
         assert_eq!(Changes::between(&old, &new), expected);
     }

@@ -15,6 +15,7 @@ mod net;
 mod node_range;
 mod odd;
 mod overlap;
+mod restart;
 mod secret;
 mod section;
 #[cfg(test)]
@@ -39,10 +40,12 @@ use file::FileError;
 use net::Draft;
 use section::{Entry, LONGEST, Section};
 
-pub use changes::Changes;
+pub(crate) use changes::runs;
+pub use changes::{Changes, NotInForce};
 pub use fault::{Fault, Faults, Warning};
 pub use model::{Admin, Config, NotAPrefilter, Prefilter, Runtime};
 pub use node_range::{NodeRange, NotANodeRange};
+pub use restart::keep_settled;
 pub(crate) use secret::read_password;
 pub use token::{NotAToken, Token};
 

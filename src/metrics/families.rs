@@ -4,6 +4,7 @@
 //! Labels are names of the configuration, node addresses and labels of enums: never a client's
 //! address, never a password.
 
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use prometheus::proto::{
@@ -144,7 +145,7 @@ pub(super) struct RouterFamily {
 
 /// What the families of the router are made of.
 pub(super) struct RouterState {
-    pub(super) last_reload: LastReload,
+    pub(super) last_reload: Arc<LastReload>,
     pub(super) started: Instant,
     /// The same as Unix time, in seconds.
     pub(super) started_at: f64,
@@ -163,7 +164,7 @@ pub(super) const ROUTER_FAMILIES: &[RouterFamily] = &[
         name: "pnet_nat_config_last_reload_successful",
         help: "Whether the configuration that was last read came into force: 1 or 0.",
         kind: MetricType::GAUGE,
-        sample: |state| gauge(&[], f64::from(state.last_reload.successful)),
+        sample: |state| gauge(&[], f64::from(state.last_reload.successful())),
     },
     RouterFamily {
         name: "pnet_nat_config_last_reload_success_timestamp_seconds",

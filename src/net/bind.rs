@@ -1,20 +1,20 @@
 //! Opening public sockets, at the start and for a new configuration.
 //!
-//! A socket that is there already is taken over, so that no datagram to it is lost. Whatever fails,
-//! what was there stays, and what was opened is closed again.
+//! A socket that is there already is taken over, so that no datagram to it is lost. What cannot be
+//! had is named, and does not keep the others from being opened.
 
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 use std::io;
-use std::net::SocketAddr;
+use std::net::{IpAddr, SocketAddr};
 use std::sync::Arc;
 
-use crate::config::{Config, Prefilter};
+use crate::config::{Config, NotInForce, Prefilter, runs};
 use crate::relay::{ListenerId, MappingId};
 use crate::thread::ThreadError;
 
-use super::descriptors::TooFewDescriptors;
+use super::descriptors::{Share, TooFewDescriptors};
 use super::filtered::{FilteredSocket, NetDrops};
-use super::listen::{self, CallError, ListenError};
+use super::listen::{self, CallError, ListenError, chain};
 use super::public::{Listener, Listeners};
 use super::socket;
 
@@ -55,6 +55,19 @@ impl StartError {
     }
 }
 
+/// Public sockets that a configuration wants, as far as they can be had.
+pub(super) struct Opened {
+    /// Of each worker: the same addresses in the same places.
+    pub listeners: Vec<Listeners>,
+    pub missing: Vec<Missing>,
+}
+
+/// A public socket that cannot be had.
+pub(super) struct Missing {
+    pub address: SocketAddr,
+    pub why: StartError,
+}
+
 /// The public sockets of each worker for this configuration, whose nets' figures are `drops`: those
 /// of `before` that it names too, in their places, and new ones in places that are free.
 pub(super) fn open(
@@ -62,7 +75,8 @@ pub(super) fn open(
     drops: &[Arc<NetDrops>],
     before: &[Listeners],
     workers: usize,
-) -> Result<Vec<Listeners>, StartError> {
+    share: &Share,
+) -> Opened {
     // Every worker has the same sockets in the same places.
     let places = before.first().into_iter().flat_map(Listeners::iter);
     let places: HashMap<_, _> = places.map(|(id, listener)| (listener.address, id)).collect();
@@ -73,6 +87,7 @@ pub(super) fn open(
     };
     let mut next = vec![Listeners::default(); workers];
     let mut new = Vec::new();
+    let mut room = share.public_sockets;
     for (address, mapping) in wanted(config) {
         let Some(&id) = places.get(&address) else {
             new.push((address, mapping));
@@ -82,24 +97,82 @@ pub(super) fn open(
             let Some(kept) = before.get(id) else { continue };
             next.put(id, listener(Arc::clone(&kept.socket), address, mapping));
         }
+        room = room.saturating_sub(1);
     }
+    let mut missing = Vec::new();
+    let mut unusable: HashMap<IpAddr, ListenError> = HashMap::new();
     let mut ids = (0..).map(ListenerId);
     for (address, mapping) in new {
+        if let Some(lack) = share.lack.filter(|_| room == 0) {
+            missing.push(Missing { address, why: lack.into() });
+            continue;
+        }
+        if let Some(error) = unusable.get(&address.ip()).and_then(|error| error.at(address)) {
+            missing.push(Missing { address, why: error.into() });
+            continue;
+        }
+        let sockets =
+            match filtered(config, address, workers, |socket| listener(socket, address, mapping)) {
+                Ok(sockets) => sockets,
+                Err(error) => {
+                    if let Some(error) = error.at(address) {
+                        unusable.insert(address.ip(), error);
+                    }
+                    missing.push(Missing { address, why: error.into() });
+                    continue;
+                }
+            };
         let Some(id) = ids.find(|&id| next[0].get(id).is_none()) else { break };
-        let sockets = socket::public(address, workers, config.runtime.receive_buffer);
-        let failed = |error| ListenError::new("UDP", address, "[public] listen", error);
-        let sockets = sockets.map_err(failed)?;
-        for (next, socket) in next.iter_mut().zip(sockets) {
-            let listener = listener(Arc::new(FilteredSocket::new(socket)), address, mapping);
-            if config.runtime.prefilter == Prefilter::Always {
-                let on = listener.filter(true, &config.table);
-                let on = on.map_err(CallError::of("setsockopt SO_ATTACH_FILTER"));
-                on.map_err(failed)?;
-            }
+        for (next, listener) in next.iter_mut().zip(sockets) {
             next.put(id, listener);
         }
+        room = room.saturating_sub(1);
     }
-    Ok(next)
+    Opened { listeners: next, missing }
+}
+
+/// New sockets on one address, with the prefilter where it is always on.
+fn filtered(
+    config: &Config,
+    address: SocketAddr,
+    workers: usize,
+    listener: impl Fn(Arc<FilteredSocket>) -> Listener,
+) -> Result<Vec<Listener>, ListenError> {
+    let failed = |error| ListenError::new("UDP", address, "[public] listen", error);
+    let sockets = socket::public(address, workers, config.runtime.receive_buffer);
+    let mut listeners = Vec::new();
+    for socket in sockets.map_err(failed)? {
+        let listener = listener(Arc::new(FilteredSocket::new(socket)));
+        if config.runtime.prefilter == Prefilter::Always {
+            let on = listener.filter(true, &config.table);
+            on.map_err(CallError::of("setsockopt SO_ATTACH_FILTER")).map_err(failed)?;
+        }
+        listeners.push(listener);
+    }
+    Ok(listeners)
+}
+
+/// What is missing, in words: one item for all ports of an address that lack the same.
+pub(super) fn told(missing: &[Missing]) -> Vec<NotInForce> {
+    let mut ports = BTreeMap::<_, Vec<_>>::new();
+    for Missing { address, why } in missing {
+        let why = match why {
+            StartError::Listen(error) => error.why(),
+            other => chain(other),
+        };
+        ports.entry((address.ip(), why)).or_default().push(address.port());
+    }
+    let item = |((ip, why), ports)| NotInForce { what: ports_of(ip, ports), why };
+    ports.into_iter().map(item).collect()
+}
+
+/// UDP ports of an address, in words.
+pub(super) fn ports_of(ip: IpAddr, mut ports: Vec<u16>) -> String {
+    ports.sort_unstable();
+    match ports[..] {
+        [port] => format!("UDP port {}", SocketAddr::new(ip, port)),
+        _ => format!("UDP ports {} of {ip}", runs(&ports)),
+    }
 }
 
 /// Says when the kernel granted less than the configured receive buffer.

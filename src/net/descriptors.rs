@@ -20,8 +20,17 @@ pub(super) struct Plan {
     pub upstreams: usize,
 }
 
+/// What a worker may have of the limit once it runs, whatever a configuration asks for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Share {
+    pub public_sockets: usize,
+    pub upstreams: usize,
+    /// Where it may have fewer public sockets than wanted.
+    pub lack: Option<TooFewDescriptors>,
+}
+
 /// The configuration needs more file descriptors than the process may have.
-#[derive(Debug, thiserror::Error)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
     "{public_sockets} public sockets and {workers} worker(s) need {needed} file descriptors, but the \
      hard limit is {limit}; raise it (ulimit -Hn, LimitNOFILE=, --ulimit nofile=) or listen on \
@@ -42,6 +51,23 @@ pub(super) fn plan(
     workers: Option<NonZeroUsize>,
 ) -> Result<Plan, TooFewDescriptors> {
     divide(addresses, workers, half_the_cores(), raise_limit())
+}
+
+/// Divides the limit among so many workers, each of which wants public sockets for so many addresses.
+pub(super) fn share(addresses: usize, workers: usize) -> Share {
+    allot(addresses, workers.max(1), raise_limit())
+}
+
+fn allot(addresses: usize, workers: usize, limit: usize) -> Share {
+    let each = (limit.saturating_sub(RESERVE) / workers).saturating_sub(OWN);
+    let public_sockets = addresses.min(each.saturating_sub(FOR_A_WORKER - OWN));
+    let lack = (public_sockets < addresses).then(|| TooFewDescriptors {
+        public_sockets: workers * addresses,
+        workers,
+        needed: RESERVE + workers * (addresses + FOR_A_WORKER),
+        limit,
+    });
+    Share { public_sockets, upstreams: each - public_sockets, lack }
 }
 
 fn half_the_cores() -> NonZeroUsize {
@@ -102,6 +128,17 @@ mod tests {
     fn fewer_workers_before_no_router() {
         assert_eq!(divide(8000, None, n(16), 20_000).unwrap().workers, 2);
         assert_eq!(divide(8000, None, n(16), 9_000).unwrap().workers, 1);
+    }
+
+    #[test]
+    fn a_worker_that_runs_has_as_many_public_sockets_as_fit() {
+        let share = allot(8000, 2, 20_000);
+        assert_eq!(share, Share { public_sockets: 8000, upstreams: 1933, lack: None });
+        let share = allot(8000, 2, 9_000);
+        assert_eq!((share.public_sockets, share.upstreams), (4402, 31));
+        assert!(RESERVE + 2 * (share.public_sockets + FOR_A_WORKER) <= 9_000);
+        assert!(share.lack.unwrap().to_string().contains("16196"));
+        assert_eq!(allot(8000, 2, 10).public_sockets, 0);
     }
 
     #[test]

@@ -62,6 +62,11 @@ impl InForce {
         self.listeners.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
+    /// What the kernel dropped, by net.
+    pub(super) fn drops(&self) -> &[Arc<NetDrops>] {
+        &self.drops
+    }
+
     /// What the kernel dropped, by the names of the nets.
     pub(super) fn drops_by_name(&self) -> HashMap<&str, &Arc<NetDrops>> {
         let names = self.config.table.nets().iter().map(|net| net.name.as_str());

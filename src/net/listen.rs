@@ -2,6 +2,7 @@
 //!
 //! Told by who asks: some of it passes by itself, and is worth another try.
 
+use std::error::Error;
 use std::fmt::{self, Display, Formatter};
 use std::fs;
 use std::io;
@@ -109,47 +110,61 @@ impl ListenError {
     }
 }
 
+impl ListenError {
+    /// The same for another port, where the address as a whole cannot be bound.
+    pub(super) fn at(&self, address: SocketAddr) -> Option<Self> {
+        let obstacle = match self.obstacle {
+            Obstacle::NotOurs => Obstacle::NotOurs,
+            Obstacle::Tentative => Obstacle::Tentative,
+            Obstacle::Duplicate => Obstacle::Duplicate,
+            _ => return None,
+        };
+        let Self { protocol, setting, .. } = *self;
+        Some(Self { protocol, address, setting, obstacle })
+    }
+
+    /// What is in the way and what to do about it, without the address.
+    pub(super) fn why(&self) -> String {
+        match &self.obstacle {
+            Obstacle::InUse => {
+                let sockets = if self.protocol == "TCP" { "ss -ltnp" } else { "ss -lunp" };
+                format!("in use; stop what uses it ({sockets}), or choose another port")
+            }
+            Obstacle::NotOurs => format!(
+                "no address of this host, or not yet; wait for its interface, or correct {} (ip \
+                 address shows what there is)",
+                self.setting
+            ),
+            Obstacle::Tentative => "tentative: the kernel still asks whether another machine has \
+                it; wait a second or two (ip address shows it)"
+                .to_owned(),
+            Obstacle::Duplicate => "not to be used: another machine on the link has it \
+                (dadfailed); take it from one of the two, and set it anew here (ip address shows it)"
+                .to_owned(),
+            Obstacle::Privileged(from) => format!(
+                "needs CAP_NET_BIND_SERVICE, like all ports below {from} here; it is given up after \
+                 the start: choose a higher port, or restart with that capability"
+            ),
+            Obstacle::OutOfDescriptors => "no file descriptor is left; raise the hard limit (ulimit \
+                -Hn, LimitNOFILE=, --ulimit nofile=)"
+                .to_owned(),
+            Obstacle::Other(failed) => failed.to_string(),
+        }
+    }
+}
+
 impl Display for ListenError {
     fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
-        let Self { protocol, address, setting, obstacle } = self;
-        let ip = address.ip();
+        let Self { protocol, address, obstacle, .. } = self;
+        let why = self.why();
         match obstacle {
-            Obstacle::InUse => {
-                let sockets = if *protocol == "TCP" { "ss -ltnp" } else { "ss -lunp" };
-                write!(
-                    f,
-                    "{protocol} port {address} is in use; stop what uses it ({sockets}), or choose \
-                     another port"
-                )
+            Obstacle::InUse => write!(f, "{protocol} port {address} is {why}"),
+            Obstacle::NotOurs | Obstacle::Tentative | Obstacle::Duplicate => {
+                write!(f, "{} is {why}", address.ip())
             }
-            Obstacle::NotOurs => write!(
-                f,
-                "{ip} is no address of this host, or not yet; wait for its interface, or correct \
-                 {setting} (ip address shows what there is)"
-            ),
-            Obstacle::Tentative => write!(
-                f,
-                "{ip} is tentative: the kernel still asks whether another machine has it; wait a \
-                 second or two (ip address shows it)"
-            ),
-            Obstacle::Duplicate => write!(
-                f,
-                "{ip} cannot be used: another machine on the link has it (dadfailed); take it from \
-                 one of the two, and set it anew here (ip address shows it)"
-            ),
-            Obstacle::Privileged(from) => write!(
-                f,
-                "{protocol} port {address} needs CAP_NET_BIND_SERVICE, like all ports below {from} \
-                 here; it is given up after the start: choose a higher port, or restart with that \
-                 capability"
-            ),
-            Obstacle::OutOfDescriptors => write!(
-                f,
-                "no file descriptor is left for {protocol} {address}; raise the hard limit (ulimit \
-                 -Hn, LimitNOFILE=, --ulimit nofile=)"
-            ),
-            Obstacle::Other(failed) => {
-                write!(f, "cannot listen on {protocol} {address}: {failed}")
+            Obstacle::Privileged(_) => write!(f, "{protocol} port {address} {why}"),
+            Obstacle::OutOfDescriptors | Obstacle::Other(_) => {
+                write!(f, "cannot listen on {protocol} {address}: {why}")
             }
         }
     }
@@ -162,6 +177,14 @@ pub fn may_pass(error: &io::Error) -> bool {
     let in_the_way = [Errno::EADDRINUSE, Errno::EADDRNOTAVAIL, Errno::EINTR];
     let errno = error.raw_os_error().map(Errno::from_raw);
     errno.is_some_and(|errno| short.contains(&errno) || in_the_way.contains(&errno))
+}
+
+/// An error and what caused it.
+pub(crate) fn chain(error: &dyn Error) -> String {
+    match error.source() {
+        Some(cause) => format!("{error}: {}", chain(cause)),
+        None => error.to_string(),
+    }
 }
 
 /// Looks up what only an unconfined process can read.
@@ -271,7 +294,7 @@ mod tests {
         for (errno, text, passes) in [
             (Errno::EADDRINUSE, "UDP port 198.51.100.1:40001 is in use", true),
             (Errno::EADDRNOTAVAIL, "198.51.100.1 is no address of this host, or not yet", true),
-            (Errno::EMFILE, "no file descriptor is left for UDP 198.51.100.1:40001", false),
+            (Errno::EMFILE, "cannot listen on UDP 198.51.100.1:40001: no file descriptor", false),
         ] {
             let (told, may_pass) = told(40001, "bind", errno);
             assert!(told.starts_with(text), "{told}");

@@ -36,6 +36,7 @@ pub use bind::StartError;
 pub use descriptors::TooFewDescriptors;
 pub use filtered::KernelDrops;
 pub use in_force::InForce;
+pub(crate) use listen::chain;
 pub use listen::{ListenError, may_pass, tcp, udp};
 pub use reload::{LastReload, ReloadError};
 pub use router::{Bound, Router};

@@ -77,6 +77,13 @@ impl Listeners {
         before.iter().map(|(id, _)| id).filter(|&id| !self.keeps(id, before)).collect()
     }
 
+    /// Empties a place.
+    pub(super) fn remove(&mut self, id: ListenerId) {
+        if let Some(place) = self.0.get_mut(id.0 as usize) {
+            *place = None;
+        }
+    }
+
     /// Whether the socket in this place is the same in both.
     pub(super) fn keeps(&self, id: ListenerId, other: &Self) -> bool {
         let (here, there) = (self.get(id), other.get(id));

@@ -1,26 +1,28 @@
 //! Another configuration for a router at work.
 //!
-//! All that can fail comes first: what needs a restart, the file descriptors, the new sockets. Until
-//! then nothing has changed for anybody, and a fault leaves it at that. Then each worker goes over,
-//! between two datagrams, and the rest of the program sees the new one as a whole.
+//! One that is sound comes into force, whatever becomes of single sockets: what it withdraws is
+//! withdrawn. Each worker goes over between two datagrams, and the rest of the program sees the new
+//! one as a whole. What cannot be had is named; missing sockets are tried again later.
 
-use std::collections::HashSet;
-use std::net::IpAddr;
-use std::num::NonZeroUsize;
+use std::collections::BTreeMap;
 use std::sync::mpsc;
 use std::sync::{Arc, PoisonError};
 use std::time::{Duration, Instant};
 
-use crate::config::{Changes, Config, Faults};
-use crate::relay::{Counters, Net, Succession, Transition};
+use crate::config::{self, Changes, Config, Faults, NotInForce};
+use crate::relay::{Counters, ListenerId, Net, Succession, Transition};
 
-use super::bind::{self, StartError};
+use super::bind::{self, Missing, Opened};
 use super::descriptors;
 use super::filtered::NetDrops;
 use super::in_force::InForce;
+use super::listen::chain;
 use super::public::Listeners;
 use super::router::{Router, addresses, lock};
 use super::worker::{self, Command, Next};
+
+/// Faults that are kept for who asks how the last reload went.
+const MOST_FAULTS: usize = 100;
 
 /// Why another configuration did not come into force.
 #[derive(Debug, thiserror::Error)]
@@ -28,12 +30,6 @@ pub enum ReloadError {
     /// It is not sound.
     #[error(transparent)]
     Faults(#[from] Faults),
-    /// What it changes is settled at the start.
-    #[error("{} cannot change while the relay runs; restart it", .0.join(", "))]
-    NeedsRestart(Vec<&'static str>),
-    /// Its sockets cannot be had.
-    #[error(transparent)]
-    Sockets(#[from] StartError),
     /// Its files are not to be had.
     #[error(
         "reading the configuration takes longer than {} s; is a disk or a network share stuck? The \
@@ -52,66 +48,185 @@ pub enum ReloadError {
 }
 
 /// How the last reload went; at first, the start.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub struct LastReload {
-    /// Whether its configuration came into force.
-    pub successful: bool,
+    /// Reloads that have begun since the start.
+    pub begun: u64,
+    /// Which of them the rest tells of; 0: the start.
+    pub number: u64,
+    /// Why it changed nothing.
+    pub error: Option<String>,
+    /// The faults of its configuration, one a line, as far as they are the reason.
+    pub faults: Vec<String>,
+    /// Settings of the configuration in force that need a restart.
+    settled: Vec<NotInForce>,
+    /// Its public sockets that are still to be had.
+    missing: Vec<NotInForce>,
     /// When the configuration in force came into force.
     pub success_at: Instant,
 }
 
+impl Default for LastReload {
+    fn default() -> Self {
+        Self {
+            begun: 0,
+            number: 0,
+            error: None,
+            faults: Vec::new(),
+            settled: Vec::new(),
+            missing: Vec::new(),
+            success_at: Instant::now(),
+        }
+    }
+}
+
 impl LastReload {
-    pub(super) fn succeeded() -> Self {
-        Self { successful: true, success_at: Instant::now() }
+    /// Whether all of the configuration that was last read is in force.
+    pub fn successful(&self) -> bool {
+        self.error.is_none() && self.settled.is_empty() && self.missing.is_empty()
+    }
+
+    /// What the last sound configuration has and what is not in force all the same.
+    pub fn not_in_force(&self) -> impl Iterator<Item = &NotInForce> {
+        self.settled.iter().chain(&self.missing)
+    }
+
+    fn refused(&mut self, error: &ReloadError) {
+        (self.error, self.faults) = match error {
+            ReloadError::Faults(Faults(faults)) => {
+                let more = faults.len().saturating_sub(MOST_FAULTS);
+                let faults = faults.iter().take(MOST_FAULTS).map(ToString::to_string);
+                let more = (more > 0).then(|| format!("{more} more faults"));
+                let error = "the configuration is not sound".to_owned();
+                (Some(error), faults.chain(more).collect())
+            }
+            error => (Some(chain(error)), Vec::new()),
+        };
     }
 }
 
 impl Router {
-    /// Brings a configuration into force that was just read, or says why not; then the one in force
-    /// stays, whole. Blocks until every worker has gone over.
+    /// Notes that a reload begins; [`reload`](Self::reload) ends it.
+    pub fn begin_reload(&self) {
+        Arc::make_mut(&mut lock(&self.last_reload)).begun += 1;
+    }
+
+    /// Brings a configuration into force that was just read, as far as it can be, or says why not;
+    /// then the one in force stays, whole. Blocks until every worker has gone over.
     pub fn reload(&self, read: Result<Config, ReloadError>) -> Result<Changes, ReloadError> {
         let outcome = read.and_then(|config| self.replace(config));
         let mut last = lock(&self.last_reload);
-        match outcome {
-            Ok(_) => *last = LastReload::succeeded(),
-            Err(_) => last.successful = false,
+        let last = Arc::make_mut(&mut last);
+        last.number = last.begun;
+        match &outcome {
+            Ok(_) => {
+                (last.error, last.faults) = (None, Vec::new());
+                last.success_at = Instant::now();
+            }
+            Err(error) => last.refused(error),
         }
         outcome
     }
 
-    fn replace(&self, config: Config) -> Result<Changes, ReloadError> {
+    /// Whether public sockets are still to be had; see [`retry`](Self::retry).
+    pub fn misses_sockets(&self) -> bool {
+        !lock(&self.last_reload).missing.is_empty()
+    }
+
+    /// Tries again to open the public sockets that are missing. Blocks until every worker has those
+    /// that were had.
+    pub fn retry(&self) {
+        let _changing = self.changing.blocking_lock();
+        if self.is_ready()
+            && let Ok(missing) = self.open_missing()
+        {
+            Arc::make_mut(&mut lock(&self.last_reload)).missing = bind::told(&missing);
+        }
+    }
+
+    fn replace(&self, mut config: Config) -> Result<Changes, ReloadError> {
         let _changing = self.changing.blocking_lock();
         if !self.is_ready() {
             return Err(ReloadError::Stopping);
         }
         let old = self.in_force();
-        refuse_what_needs_a_restart(&old.config, &config)?;
+        let settled = config::keep_settled(&old.config, &mut config);
         let mut changes = Changes::between(&old.config, &config);
 
-        let workers = NonZeroUsize::new(self.workers.len());
-        let plan = descriptors::plan(addresses(&config), workers).map_err(StartError::from)?;
         let known = old.drops_by_name();
         let drops_of = |net: &Net| known.get(net.name.as_str()).copied().cloned();
         let drops = config.table.nets().iter().map(|net| drops_of(net).unwrap_or_default());
-        let drops: Vec<Arc<NetDrops>> = drops.collect();
-        let upstream_drops = Arc::clone(&old.upstream_drops);
-        let before = old.listeners().clone();
+        let drops = drops.collect();
         // No new upstream socket gets in the way of a new public one.
         self.ports.keep_out_of(&[&old.config, &config]);
-        let opened = bind::open(&config, &drops, &before, self.workers.len()).and_then(|opened| {
-            for ((worker, next), before) in self.workers.iter().zip(&opened).zip(&before) {
-                worker::watch(&worker.epoll, next, before)?;
-            }
-            Ok(opened)
-        });
-        let in_force = if opened.is_ok() { &config } else { &old.config };
-        self.ports.keep_out_of(&[in_force]);
-        let listeners = opened?;
+        let Opened { listeners, mut missing } = self.open(&config, &drops, &old);
+        changes.flows_closed = self.go_over(&old, config, drops, listeners)?;
+        drop(old);
+        self.ports.keep_out_of(&[&self.in_force().config]);
+        if !missing.is_empty() {
+            // What the old configuration had is free now.
+            missing = self.open_missing()?;
+        }
 
-        // From here on nothing fails.
+        let mut last = lock(&self.last_reload);
+        let last = Arc::make_mut(&mut last);
+        (last.settled, last.missing) = (settled, bind::told(&missing));
+        changes.not_in_force = last.not_in_force().cloned().collect();
+        Ok(changes)
+    }
+
+    /// Opens what is missing of the configuration in force, and tells what still is.
+    fn open_missing(&self) -> Result<Vec<Missing>, ReloadError> {
+        let now = self.in_force();
+        let drops = now.drops().to_vec();
+        let Opened { listeners, missing } = self.open(&now.config, &drops, &now);
+        let mut new = BTreeMap::<_, Vec<_>>::new();
+        for id in new_ones(&listeners, &now.listeners()) {
+            let Some(listener) = listeners.first().and_then(|all| all.get(id)) else { continue };
+            new.entry(listener.address.ip()).or_default().push(listener.address.port());
+        }
+        if !new.is_empty() {
+            self.go_over(&now, now.config.clone(), drops, listeners)?;
+        }
+        for (ip, ports) in new {
+            tracing::info!(listen = bind::ports_of(ip, ports), "listening");
+        }
+        Ok(missing)
+    }
+
+    /// The sockets of a configuration, watched by the workers' epoll.
+    fn open(&self, config: &Config, drops: &Vec<Arc<NetDrops>>, old: &InForce) -> Opened {
+        let share = descriptors::share(addresses(config), self.workers.len());
+        let before = old.listeners().clone();
+        let mut opened = bind::open(config, drops, &before, self.workers.len(), &share);
+        for id in new_ones(&opened.listeners, &before) {
+            let each = self.workers.iter().zip(&opened.listeners);
+            let mut watched = each.filter_map(|(worker, all)| Some((worker, all.get(id)?)));
+            let watched =
+                watched.try_for_each(|(worker, new)| worker::watch(&worker.epoll, id, new));
+            let Err(why) = watched else { continue };
+            let address = opened.listeners.first().and_then(|all| Some(all.get(id)?.address));
+            opened.missing.extend(address.map(|address| Missing { address, why }));
+            opened.listeners.iter_mut().for_each(|all| all.remove(id));
+        }
+        opened
+    }
+
+    /// Has the workers go over to another configuration with these sockets, and tells how many flows
+    /// were closed by it.
+    fn go_over(
+        &self,
+        old: &InForce,
+        config: Config,
+        drops: Vec<Arc<NetDrops>>,
+        listeners: Vec<Listeners>,
+    ) -> Result<usize, ReloadError> {
+        let share = descriptors::share(addresses(&config), self.workers.len());
         let (was, is) = (&old.config.table, &config.table);
         let rules = old.rules.followed_by(Arc::clone(is), config.limits);
+        let before = old.listeners().clone();
         let gone = listeners.iter().zip(&before).flat_map(|(is, was)| is.gone(was)).collect();
+        drop(before);
         let transition = Arc::new(Transition::new(&old.rules, &rules, gone));
         let counters: Vec<_> =
             old.counters.iter().map(|worker| Arc::new(worker.followed_by(was, is))).collect();
@@ -122,7 +237,7 @@ impl Router {
                 transition: Arc::clone(&transition),
             },
             listeners: listeners.clone(),
-            upstream_limit: plan.upstreams,
+            upstream_limit: share.upstreams,
             runtime: config.runtime.clone(),
         };
         let mut answers = Vec::new();
@@ -131,45 +246,27 @@ impl Router {
             worker.ask(Command::Reload(Box::new(next(listeners, counters)), reply));
             answers.push(answer);
         }
+        let mut flows_closed = 0;
         for answer in answers {
             // None comes from a worker that has panicked: it takes the process along.
-            changes.flows_closed += answer.recv().map_err(|_| ReloadError::Stopping)?;
+            flows_closed += answer.recv().map_err(|_| ReloadError::Stopping)?;
         }
         if config.runtime.receive_buffer != old.config.runtime.receive_buffer {
             resize_buffers(&config, &listeners);
         }
+        let upstream_drops = Arc::clone(&old.upstream_drops);
         let next =
             Arc::new(InForce::new(config, rules, counters, drops, upstream_drops, listeners));
         *self.in_force.write().unwrap_or_else(PoisonError::into_inner) = next;
         old.retire();
-        Ok(changes)
+        Ok(flows_closed)
     }
 }
 
-fn refuse_what_needs_a_restart(old: &Config, new: &Config) -> Result<(), ReloadError> {
-    let (was, is) = (old.admin.as_ref(), new.admin.as_ref());
-    let admin_moves = was.zip(is).is_some_and(|(was, is)| was.listen != is.listen);
-    let changed = [
-        ("[runtime] user", old.runtime.user != new.runtime.user),
-        ("[runtime] workers", old.runtime.workers != new.runtime.workers),
-        ("[admin] enabled", was.is_some() != is.is_some()),
-        ("[admin] listen", admin_moves),
-        ("[public] listen, between one address and all of them,", all_or_one(old, new)),
-    ];
-    let changed: Vec<_> =
-        changed.into_iter().filter_map(|(key, changed)| changed.then_some(key)).collect();
-    if changed.is_empty() { Ok(()) } else { Err(ReloadError::NeedsRestart(changed)) }
-}
-
-/// Whether a new address includes an old one or the other way round: the old sockets, which serve
-/// until the new ones are there, would keep them off their ports.
-fn all_or_one(old: &Config, new: &Config) -> bool {
-    let (old, new): (HashSet<IpAddr>, HashSet<IpAddr>) =
-        (old.listen.iter().copied().collect(), new.listen.iter().copied().collect());
-    let in_the_way = |a: &IpAddr, b: &IpAddr| {
-        a != b && a.is_ipv4() == b.is_ipv4() && (a.is_unspecified() || b.is_unspecified())
-    };
-    new.difference(&old).any(|new| old.iter().any(|old| in_the_way(old, new)))
+/// The places of sockets that are not in `before`.
+fn new_ones(listeners: &[Listeners], before: &[Listeners]) -> Vec<ListenerId> {
+    let (Some(now), Some(before)) = (listeners.first(), before.first()) else { return Vec::new() };
+    now.iter().map(|(id, _)| id).filter(|&id| !now.keeps(id, before)).collect()
 }
 
 fn resize_buffers(config: &Config, listeners: &[Listeners]) {

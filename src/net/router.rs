@@ -19,8 +19,8 @@ use crate::relay::{Chance, Core, Counters, FlowRecord, Rules, Table};
 use crate::thread;
 
 use super::audit::Audit;
-use super::bind::{self, StartError};
-use super::descriptors::{self, Plan};
+use super::bind::{self, Missing, Opened, StartError};
+use super::descriptors::{self, Plan, Share};
 use super::filtered::NetDrops;
 use super::in_force::InForce;
 use super::listen;
@@ -37,7 +37,7 @@ const ANSWER_TIME: Duration = Duration::from_secs(1);
 #[derive(Debug)]
 pub struct Router {
     pub(super) in_force: RwLock<Arc<InForce>>,
-    pub(super) last_reload: Mutex<LastReload>,
+    pub(super) last_reload: Mutex<Arc<LastReload>>,
     /// Held while the workers go over to another configuration, or are told to end.
     pub(super) changing: tokio::sync::Mutex<()>,
     audit: Arc<Audit>,
@@ -96,7 +96,12 @@ impl Router {
         let plan = descriptors::plan(addresses(&config), config.runtime.workers)?;
         let drops: Vec<Arc<NetDrops>> =
             config.table.nets().iter().map(|_| Arc::default()).collect();
-        let listeners = bind::open(&config, &drops, &[], plan.workers)?;
+        let addresses = addresses(&config);
+        let share = Share { public_sockets: addresses, upstreams: plan.upstreams, lack: None };
+        let Opened { listeners, missing } = bind::open(&config, &drops, &[], plan.workers, &share);
+        if let Some(Missing { why, .. }) = missing.into_iter().next() {
+            return Err(why);
+        }
         bind::tell_short_buffers(&config, &listeners);
 
         let rules = Rules::new(Arc::clone(&config.table), config.limits);
@@ -122,7 +127,7 @@ impl Router {
         let in_force = InForce::new(config, rules, counters, drops, upstream_drops, listeners);
         let router = Self {
             in_force: RwLock::new(Arc::new(in_force)),
-            last_reload: Mutex::new(LastReload::succeeded()),
+            last_reload: Mutex::default(),
             changing: tokio::sync::Mutex::default(),
             audit,
             ports,
@@ -145,7 +150,7 @@ impl Router {
         let in_force = InForce::new(config, rules, counters, drops, Arc::default(), Vec::new());
         Arc::new(Self {
             in_force: RwLock::new(Arc::new(in_force)),
-            last_reload: Mutex::new(LastReload::succeeded()),
+            last_reload: Mutex::default(),
             changing: tokio::sync::Mutex::default(),
             audit,
             ports,
@@ -178,8 +183,8 @@ impl Router {
     }
 
     /// How the last reload went.
-    pub fn last_reload(&self) -> LastReload {
-        *lock(&self.last_reload)
+    pub fn last_reload(&self) -> Arc<LastReload> {
+        Arc::clone(&lock(&self.last_reload))
     }
 
     /// What bounds the audit log.
@@ -255,7 +260,9 @@ fn build_worker(
     shared: &Shared,
 ) -> Result<(Handle, Worker), StartError> {
     let epoll = Arc::new(Epoll::new(EpollCreateFlags::EPOLL_CLOEXEC).map_err(io::Error::from)?);
-    worker::watch(&epoll, &listeners, &Listeners::default())?;
+    for (id, listener) in listeners.iter() {
+        worker::watch(&epoll, id, listener)?;
+    }
     let flags = EfdFlags::EFD_NONBLOCK | EfdFlags::EFD_CLOEXEC;
     let wake = Arc::new(EventFd::from_flags(flags).map_err(io::Error::from)?);
     let (commands, inbox) = mpsc::channel();

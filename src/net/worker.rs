@@ -95,18 +95,10 @@ pub(super) struct Parts {
     pub wake: Arc<EventFd>,
 }
 
-/// Has `epoll` tell of what arrives at the sockets that are not in `before`.
-pub(super) fn watch(
-    epoll: &Epoll,
-    listeners: &Listeners,
-    before: &Listeners,
-) -> Result<(), StartError> {
-    for (id, listener) in listeners.iter().filter(|&(id, _)| !listeners.keeps(id, before)) {
-        epoll
-            .add(&listener.socket, Place::Public(id).arrivals())
-            .map_err(|error| StartError::Watch(error.into()))?;
-    }
-    Ok(())
+/// Has `epoll` tell of what arrives at a public socket.
+pub(super) fn watch(epoll: &Epoll, id: ListenerId, listener: &Listener) -> Result<(), StartError> {
+    let watched = epoll.add(&listener.socket, Place::Public(id).arrivals());
+    watched.map_err(|error| StartError::Watch(error.into()))
 }
 
 impl Worker {

@@ -195,7 +195,7 @@ fn a_removed_mapping_stops_listening_and_works_again_when_put_back() {
         let relay = Relay::start(&with, site.admin(), None);
         let (client, node, stays) = (site.client(), site.node(4), site.node(3));
         exchange(&client, site.public(4), &node, 4);
-        let port = exchange(&client, site.public(3), &stays, 3);
+        exchange(&client, site.public(3), &stays, 3);
 
         let line = relay.reload_to(&without);
         assert_eq!(line["mappings_removed"], "section-1: 4", "{line}");
@@ -211,24 +211,38 @@ fn a_removed_mapping_stops_listening_and_works_again_when_put_back() {
         other.set_read_timeout(Some(PATIENCE)).unwrap();
         assert_eq!(other.recv(&mut octets).unwrap(), request(4).len(), "the relay has it no more");
 
-        // Another program has the port: nothing changes, not even the password that would have.
+        // Another program has the port: all else comes into force, above all what is withdrawn.
         relay.configure(&with);
         relay.set_password("section-1", SECOND);
         let line = relay.reload();
-        assert_eq!(line["message"], "reload failed", "{line}");
-        let error = line["error"].as_str().unwrap();
+        assert_eq!(
+            (&line["message"], &line["level"]),
+            (&json!("reload"), &json!("INFO")),
+            "{line}"
+        );
+        let item = line["not_in_force"].to_string();
         let public = site.public(4).to_string();
-        assert!(error.contains(&public) && error.contains("is in use"), "{error}");
+        assert!(item.contains(&public) && item.contains("in use"), "{line}");
+        assert_eq!(line["credentials_changed"], "section-1: service", "{line}");
+        let told = relay.process.logged("not in force").pop().expect("a line for each item");
+        assert_eq!(told["what"], format!("UDP port {public}"), "{told}");
         assert_eq!(relay.metrics().sum(SUCCESSFUL, &[]), 0);
-        assert_eq!(exchange(&client, site.public(3), &stays, 3), port);
-        relay.set_password("section-1", PASSWORD);
+        client.send(site.public(3), &request(3));
+        let mut second = request(3);
+        let password = second.len() - SECOND.len();
+        second[password..].copy_from_slice(SECOND);
+        client.send(site.public(3), &second);
+        stays.expect(&second);
 
+        // It is tried again until the port is free, without anybody's doing.
         close(other);
-        let line = relay.reload_to(&with);
-        assert_eq!(line["mappings_added"], "section-1: 4", "{line}");
+        let line = eventually("it listens", || relay.process.logged("listening").pop());
+        assert_eq!(line["listen"], format!("UDP port {public}"), "{line}");
         assert_eq!(relay.metrics().sum(SUCCESSFUL, &[]), 1);
+        relay.set_password("section-1", PASSWORD);
+        assert_eq!(relay.reload_to(&with)["not_in_force"], "");
         exchange(&client, site.public(4), &node, 4);
-        assert_eq!(exchange(&client, site.public(3), &stays, 3), port);
+        exchange(&client, site.public(3), &stays, 3);
         relay.finish();
     }
 }
@@ -265,7 +279,7 @@ fn a_flow_ends_with_the_address_that_it_came_by() {
 
 /// Each fault alone leaves the relay as it was.
 #[test]
-fn what_cannot_come_into_force_changes_nothing() {
+fn a_fault_changes_nothing() {
     let site = Site::claim();
     let sound = site.configuration(&Settings::default());
     let relay = Relay::start(&sound, site.admin(), None);
@@ -273,32 +287,28 @@ fn what_cannot_come_into_force_changes_nothing() {
     let port = exchange(&client, site.public(4), &node, 4);
     let (_, in_force) = relay.get("/api/v1/config").unwrap();
     let started = relay.metrics().sum(SUCCESS_TIME, &[]);
-
-    let all = "listen = [\"0.0.0.0\"]";
-    let one = format!("listen = [\"{}\"]", site.public_address());
-    for (wrong, why) in [
-        (sound.replace("\"1-4\", 33", "\"1-4\", 126"), "the configuration is not sound"),
-        (sound.replace("secrets/section-1", "secrets/absent"), "the configuration is not sound"),
-        (sound.replace("[public]", "[public"), "the configuration is not sound"),
-        (sound.replace("workers = 1", "workers = 2"), "[runtime] workers cannot change"),
-        (sound.replace(":9378", ":9379"), "[admin] listen cannot change"),
-        (sound.replace("[admin]", "[admin]\nenabled = false"), "[admin] enabled cannot change"),
-        (sound.replacen(&one, all, 1), "[public] listen, between one address and all of them,"),
-        (sound.replace("start_port = 20000", "start_port = 600"), "CAP_NET_BIND_SERVICE"),
-        (
-            sound.replacen(&one, "listen = [\"192.0.2.1\"]", 1),
-            "192.0.2.1 is no address of this host",
-        ),
-    ] {
-        assert_ne!(wrong, sound);
-        relay.configure(&wrong);
+    for (number, wrong) in [
+        sound.replace("\"1-4\", 33", "\"1-4\", 126"),
+        sound.replace("secrets/section-1", "secrets/absent"),
+        sound.replace("[public]", "[public"),
+    ]
+    .iter()
+    .enumerate()
+    {
+        assert_ne!(*wrong, sound);
+        relay.configure(wrong);
         let line = relay.reload();
-        let error = line["error"].as_str().unwrap();
-        assert!(line["message"] == "reload failed" && error.contains(why), "{line}");
+        assert_eq!(line["message"], "reload failed", "{line}");
+        assert_eq!(line["error"], "the configuration is not sound", "{line}");
         assert_eq!(relay.metrics().sum(SUCCESSFUL, &[]), 0);
         assert_eq!(relay.metrics().sum(SUCCESS_TIME, &[]), started);
         assert_eq!(exchange(&client, site.public(4), &node, 4), port);
         assert_eq!(relay.get("/api/v1/config").unwrap().1, in_force);
+        let state = reload_state(&relay);
+        assert_eq!(state["error"], "the configuration is not sound", "{state}");
+        assert_eq!((&state["number"], &state["begun"]), (&json!(number + 1), &json!(number + 1)));
+        let fault = state["faults"][0].as_str().unwrap();
+        assert!(fault.contains("pnet-nat.toml:"), "{state}");
     }
     let faults = relay.process.logged("configuration fault");
     assert_eq!(faults.len(), 3);
@@ -319,10 +329,101 @@ fn what_cannot_come_into_force_changes_nothing() {
     relay.finish();
 }
 
-/// While it goes over to other ports, the relay has the old sockets and the new ones: with this hard
-/// limit, each half fits and both together do not.
+/// What the admin server tells of the last reload.
+fn reload_state(relay: &Relay) -> Value {
+    let status: Value = serde_json::from_str(&relay.get("/api/v1/status").unwrap().1).unwrap();
+    status["reload"].clone()
+}
+
+/// What needs a restart, or a socket that cannot be had, keeps nothing else from coming into force.
 #[test]
-fn too_few_file_descriptors_for_the_new_sockets_change_nothing() {
+fn what_cannot_come_into_force_is_named_and_all_else_does() {
+    let site = Site::claim();
+    let both = site.configuration(&Settings { passwords: FIRST_AND_SECOND, ..Settings::default() });
+    let one = site.configuration(&Settings { passwords: FIRST, ..Settings::default() });
+    let relay = Relay::start(&both, site.admin(), None);
+    let (stays, goes, node) = (site.client(), site.client(), site.node(4));
+    let port = exchange(&stays, site.public(4), &node, 4);
+    let listen = format!("listen = [\"{}\"]", site.public_address());
+    let gone = format!("listen = [\"{}\", \"192.0.2.1\"]", site.public_address());
+    let low = section("low", 600, "127.2.3.0");
+    for (wrong, what, why) in [
+        (one.replace("workers = 1", "workers = 2"), "[runtime] workers", "until a restart"),
+        (one.replace("[runtime]", "[runtime]\nuser = \"nobody\""), "[runtime] user", "restart"),
+        (one.replace(":9378", ":9379"), "[admin] listen", "until a restart"),
+        (one.replace("[admin]", "[admin]\nenabled = false"), "[admin] enabled", "a restart"),
+        (
+            one.clone() + &low,
+            &format!("UDP ports 601-620 of {}", site.public_address()),
+            "needs CAP_NET_BIND_SERVICE",
+        ),
+        (
+            one.replacen(&listen, &gone, 1),
+            "UDP ports 20001-20004, 20033 of 192.0.2.1",
+            "no address of this host",
+        ),
+    ] {
+        let second = datagram(&FIGURE_10, &[], SECOND);
+        goes.send(site.public(4), &second);
+        node.expect(&second);
+        assert_ne!(wrong, one);
+        relay.configure(&wrong);
+        let line = relay.reload();
+        assert_eq!(line["message"], "reload", "{line}");
+        assert_eq!(line["credentials_withdrawn"], "section-1: second", "{line}");
+        let told = relay.process.logged("not in force").pop().unwrap();
+        assert_eq!(told["what"], *what, "{told}");
+        assert!(told["why"].as_str().unwrap().contains(why), "{told}");
+        assert_eq!(relay.metrics().sum(SUCCESSFUL, &[]), 0);
+        let state = reload_state(&relay);
+        assert_eq!((&state["successful"], &state["error"]), (&json!(false), &Value::Null));
+        assert_eq!(state["not_in_force"], json!([{"what": what, "why": told["why"]}]), "{state}");
+
+        goes.send(site.public(4), &second);
+        assert_eq!(exchange(&stays, site.public(4), &node, 4), port);
+        assert_eq!(node.waiting(), None, "the password is withdrawn");
+        relay.reload_to(&both);
+        assert_eq!(relay.metrics().sum(SUCCESSFUL, &[]), 1);
+    }
+    relay.finish();
+}
+
+/// From one address to all of them and back: the old sockets are in the way of the new ones, and go.
+#[test]
+fn from_one_address_to_all_and_back() {
+    for runtime in RUNTIMES {
+        let site = Site::claim();
+        let one = site.configuration(&Settings { runtime, ..Settings::default() });
+        let listen = format!("listen = [\"{}\"]", site.public_address());
+        let start = 21_000 + u16::from(site.address(0).octets()[2]) * 128;
+        // The ports of all addresses are nobody else's.
+        let one = one.replace("start_port = 20000", &format!("start_port = {start}"));
+        let all = one.replacen(&listen, "listen = [\"0.0.0.0\"]", 1);
+        assert_ne!(one, all);
+        let relay = Relay::start(&one, site.admin(), None);
+        let (client, node) = (site.client(), site.node(4));
+        let public = (site.public_address(), start + 4).into();
+        let other = (site.address(199), start + 4).into();
+        exchange(&client, public, &node, 4);
+        for _ in 0..2 {
+            let line = relay.reload_to(&all);
+            assert_eq!(line["not_in_force"], "", "{line}");
+            exchange(&client, public, &node, 4);
+            exchange(&client, other, &node, 4);
+            let line = relay.reload_to(&one);
+            assert_eq!(line["not_in_force"], "", "{line}");
+            exchange(&client, public, &node, 4);
+            UdpSocket::bind(other).expect("nobody has the port of the other address");
+        }
+        relay.finish();
+    }
+}
+
+/// While it goes over to other ports, the relay would have the old sockets and the new ones: with
+/// this hard limit, each half fits and both together do not. So it opens the rest once the old ones
+/// are closed.
+#[test]
+fn other_ports_come_into_force_where_both_halves_together_are_too_many_descriptors() {
     let site = Site::claim();
     let sections = [section("a", 21_000, "127.2.1.0"), section("b", 22_000, "127.2.2.0")].concat();
     let sections = sections.replace("1-20", "1-125");
@@ -334,18 +435,21 @@ fn too_few_file_descriptors_for_the_new_sockets_change_nothing() {
     let (client, node) = (site.client(), site.node(4));
     let port = exchange(&client, site.public(4), &node, 4);
     let before = descriptors();
-    relay.configure(&second);
-    for _ in 0..3 {
-        let line = relay.reload();
-        let error = line["error"].as_str().unwrap();
-        assert!(error.contains("no file descriptor is left") && error.contains("ulimit"), "{line}");
-        assert_eq!(relay.metrics().sum(SUCCESSFUL, &[]), 0);
+    for next in [&second, &first, &second, &first] {
+        let line = relay.reload_to(next);
+        assert_eq!(line["not_in_force"], "", "{line}");
         assert_eq!(exchange(&client, site.public(4), &node, 4), port);
         // The connection of a request may still be open.
         assert!(descriptors() <= before + 2, "{} of {before}", descriptors());
     }
     UdpSocket::bind((site.public_address(), 23_001)).expect("what was bound is free again");
-    exchange(&site.client(), site.public(4), &node, 4);
+
+    // More than the limit ever allows: as many as fit, and the rest is named.
+    let more = first.clone() + &section("c", 23_000, "127.2.3.0").replace("1-20", "1-125");
+    let line = relay.reload_to(&more);
+    assert!(line["not_in_force"].to_string().contains("hard limit is 440"), "{line}");
+    assert_eq!(exchange(&client, site.public(4), &node, 4), port);
+    assert!(descriptors() <= 440 - 100, "{} descriptors: enough are kept", descriptors());
     relay.reload_to(&first);
     relay.finish();
 }
