@@ -99,7 +99,7 @@ impl Ports {
     }
 
     /// Whether an upstream socket has this port, or is about to.
-    #[allow(dead_code)]
+    #[inline]
     pub(super) fn is_taken(&self, port: u16) -> bool {
         self.taken.contains(port)
     }

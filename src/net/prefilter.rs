@@ -59,6 +59,7 @@ pub(super) fn spares(reason: DropReason) -> bool {
         | DropReason::Throttled
         | DropReason::PasswordWrong => true,
         DropReason::Broadcast
+        | DropReason::Loop
         | DropReason::NodeMismatch
         | DropReason::RequestLimit
         | DropReason::FlowLimit

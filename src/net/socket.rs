@@ -66,10 +66,20 @@ pub(super) fn upstream(
     let socket = udp(ipv4, receive_buffer)?;
     let sized = socket.set_send_buffer_size(SEND_BUFFER);
     sized.map_err(CallError::of("setsockopt SO_SNDBUF"))?;
-    let any: IpAddr =
-        if ipv4 { Ipv4Addr::UNSPECIFIED.into() } else { Ipv6Addr::UNSPECIFIED.into() };
-    let port = ports.bind(&socket, any).map_err(CallError::of("bind"))?;
+    let port = ports.bind(&socket, any(ipv4)).map_err(CallError::of("bind"))?;
     Ok((socket, port))
+}
+
+/// Whether an address is one of this host's: what goes there leaves from there. Sends nothing.
+pub(super) fn is_own(address: SocketAddr, ports: &Arc<Ports>) -> io::Result<bool> {
+    if address.ip().is_loopback() {
+        return Ok(true); // where each address leads to all the others
+    }
+    let socket = Socket::new(Domain::for_address(address), Type::DGRAM, Some(Protocol::UDP))?;
+    let port = ports.bind(&socket, any(address.is_ipv4()))?;
+    let (socket, _) = &(socket, port); // closed in this order
+    socket.connect(&address.into())?;
+    Ok(socket.local_addr()?.as_socket().is_some_and(|own| own.ip() == address.ip()))
 }
 
 /// Whether the kernel cuts a message into datagrams when it is asked to (UDP_SEGMENT, Linux 4.18).
@@ -104,6 +114,10 @@ pub(super) fn kernel_drops(socket: &Socket) -> io::Result<u32> {
     } else {
         Ok(figures[libc::SK_MEMINFO_DROPS as usize])
     }
+}
+
+fn any(ipv4: bool) -> IpAddr {
+    if ipv4 { Ipv4Addr::UNSPECIFIED.into() } else { Ipv6Addr::UNSPECIFIED.into() }
 }
 
 fn udp(ipv4: bool, receive_buffer: usize) -> Result<Socket, CallError> {

@@ -5,6 +5,7 @@
 
 use std::cell::LazyCell;
 use std::io;
+use std::net::SocketAddr;
 use std::os::fd::{AsFd, BorrowedFd};
 use std::sync::Arc;
 use std::time::Instant;
@@ -28,7 +29,10 @@ pub(super) struct UpstreamSockets {
     shared: Shared,
     /// By [`UpstreamId`].
     sockets: Vec<Option<Upstream>>,
-    open: usize,
+    /// How many are open: for IPv6, for IPv4.
+    open: [usize; 2],
+    /// Whether there are servers: with IPv6, with IPv4.
+    served: [bool; 2],
     limit: usize,
     receive_buffer: usize,
     /// Whether the kernel may refuse strays.
@@ -71,7 +75,8 @@ impl UpstreamSockets {
             epoll,
             shared,
             sockets: Vec::new(),
-            open: 0,
+            open: [0; 2],
+            served: served(&table),
             limit,
             receive_buffer: runtime.receive_buffer,
             filters: runtime.prefilter != Prefilter::Off,
@@ -103,6 +108,7 @@ impl UpstreamSockets {
                 self.complaints.note(&error, "cannot let strays through");
             }
         }
+        self.served = served(&table);
         (self.limit, self.receive_buffer, self.table) = (limit, receive_buffer, table);
     }
 
@@ -147,6 +153,14 @@ impl UpstreamSockets {
         }
     }
 
+    /// Within the limit; and sockets of one kind serve no server of the other, so that a quarter is
+    /// kept for servers of each kind that there are.
+    fn may_open(&self, ipv4: bool) -> bool {
+        let other = self.open[usize::from(!ipv4)];
+        let kept = if self.served[usize::from(!ipv4)] { self.limit / 4 } else { 0 };
+        self.open[usize::from(ipv4)] + other.max(kept) < self.limit
+    }
+
     fn open(&mut self, id: UpstreamId, ipv4: bool) -> io::Result<u16> {
         let (socket, port) = socket::upstream(ipv4, self.receive_buffer, &self.shared.ports)?;
         self.epoll.add(&socket, Place::Upstream(id).arrivals())?;
@@ -161,14 +175,18 @@ impl UpstreamSockets {
             ipv4,
             strays: FloodWatch::default(),
         });
-        self.open += 1;
+        self.open[usize::from(ipv4)] += 1;
         Ok(number)
     }
 }
 
+fn served(table: &Table) -> [bool; 2] {
+    [false, true].map(|ipv4| table.mappings().iter().any(|to| to.server.is_ipv4() == ipv4))
+}
+
 impl Shell for UpstreamSockets {
     fn open_upstream(&mut self, id: UpstreamId, ipv4: bool) -> Option<u16> {
-        if self.open >= self.limit {
+        if !self.may_open(ipv4) {
             return None; // counted as upstream_exhausted, and told by the log's summary
         }
         match self.open(id, ipv4) {
@@ -184,8 +202,17 @@ impl Shell for UpstreamSockets {
         // Closing takes it out of epoll.
         if let Some(upstream) = self.sockets[id.0 as usize].take() {
             upstream.socket.account(&self.shared.drops);
-            self.open -= 1;
+            self.open[usize::from(upstream.ipv4)] -= 1;
         }
+    }
+
+    fn has_upstream_port(&self, port: u16) -> bool {
+        self.shared.ports.is_taken(port)
+    }
+
+    fn is_own_address(&mut self, address: SocketAddr) -> bool {
+        // There is no way to an address that is refused.
+        socket::is_own(address, &self.shared.ports).unwrap_or(false)
     }
 
     fn flow_opened(&mut self, table: &Table, flow: &FlowRecord) {

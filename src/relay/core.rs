@@ -282,6 +282,9 @@ impl Core {
         let open = self.flows.of_request(&endpoints);
         let open = open.filter(|&id| self.settle(id, now, shell));
         let net = self.rules.table.net(mapping.net);
+        if open.is_none() && arrival.is_loop(shell) {
+            return Err(DropReason::Loop);
+        }
         if open.is_none() && !net.allows(arrival.client.ip()) {
             return Err(DropReason::SourceNotAllowed);
         }
@@ -302,6 +305,9 @@ impl Core {
             }
         };
         request.is_for(mapping.node_address)?;
+        if open.is_none() && arrival.comes_back(shell) {
+            return Err(DropReason::Loop);
+        }
 
         // Only now, so that a stranger uses nothing up; and a flow before its net, so that one that
         // asks too much uses nothing up of the others'.
@@ -444,6 +450,20 @@ impl Core {
 }
 
 impl Arrival {
+    /// Whether it is the relay's own request, as far as the datagram itself tells: what a host sends
+    /// to one of its own addresses comes from there too.
+    #[inline]
+    fn is_loop(&self, shell: &impl Shell) -> bool {
+        let ip = self.client.ip();
+        shell.has_upstream_port(self.client.port())
+            && (ip == self.public_address || ip.to_canonical().is_loopback())
+    }
+
+    /// The same whatever address translation has done to it. Asks the system, but hardly ever.
+    fn comes_back(&self, shell: &mut impl Shell) -> bool {
+        shell.has_upstream_port(self.client.port()) && shell.is_own_address(self.client)
+    }
+
     fn endpoints(&self) -> Endpoints {
         Endpoints {
             client: self.client,

@@ -52,6 +52,8 @@ pub enum DropReason {
     PasswordMissing,
     /// The request's password is none of the net's.
     PasswordWrong,
+    /// It comes from one of the relay's own upstream sockets: a server's address leads back here.
+    Loop,
     /// The client's address is in none of the net's allowed networks.
     SourceNotAllowed,
     /// The sender, or its address, sent too many wrong passwords and is not listened to for a while.
@@ -79,7 +81,7 @@ impl DropReason {
     pub const COUNT: usize = Self::VARIANTS.len();
 
     /// The reasons of requests, in the order of the checks.
-    pub const REQUEST: [Self; 16] = [
+    pub const REQUEST: [Self; 17] = [
         Self::TooShort,
         Self::TooLong,
         Self::BadHeader,
@@ -87,6 +89,7 @@ impl DropReason {
         Self::RouteFormat,
         Self::BadLength,
         Self::PasswordMissing,
+        Self::Loop,
         Self::SourceNotAllowed,
         Self::Throttled,
         Self::PasswordWrong,
@@ -121,6 +124,7 @@ impl DropReason {
             Self::BadLength => "bad_length",
             Self::PasswordMissing => "password_missing",
             Self::PasswordWrong => "password_wrong",
+            Self::Loop => "loop",
             Self::SourceNotAllowed => "source_not_allowed",
             Self::Throttled => "throttled",
             Self::NodeMismatch => "node_mismatch",
@@ -145,6 +149,7 @@ impl DropReason {
             Self::BadLength => ("wrong length", "wrong lengths"),
             Self::PasswordMissing => ("missing password", "missing passwords"),
             Self::PasswordWrong => ("wrong password", "wrong passwords"),
+            Self::Loop => ("request in a loop", "requests in a loop"),
             Self::SourceNotAllowed => ("request not allowed", "requests not allowed"),
             Self::Throttled => ("throttled request", "throttled requests"),
             Self::NodeMismatch => ("wrong node address", "wrong node addresses"),
@@ -181,6 +186,9 @@ impl DropReason {
             Self::PasswordMissing => "No password: set UsePW in the client's IPNetTable.",
             Self::PasswordWrong => {
                 "A password that is none of the net's: a mistyped one, or someone who guesses."
+            }
+            Self::Loop => {
+                "It comes from one of the relay's own ports: a server's address leads back to the router. Correct that address, or the address translation on the way."
             }
             Self::SourceNotAllowed => {
                 "The source address is in none of the net's `allow` networks. A client's address may have changed."

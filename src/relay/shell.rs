@@ -1,5 +1,7 @@
 //! What stands around the core: sockets and the log.
 
+use std::net::SocketAddr;
+
 use super::flow::FlowRecord;
 use super::ids::UpstreamId;
 use super::reason::CloseReason;
@@ -14,6 +16,15 @@ pub trait Shell {
     fn open_upstream(&mut self, id: UpstreamId, ipv4: bool) -> Option<u16>;
     /// Closes the upstream socket `id`.
     fn close_upstream(&mut self, id: UpstreamId);
+    /// Whether an upstream socket, of whichever worker, has this port.
+    fn has_upstream_port(&self, _port: u16) -> bool {
+        false
+    }
+    /// Whether this address is one of the router's own. Asked of those that
+    /// [have an upstream port](Self::has_upstream_port), when a flow is about to be opened.
+    fn is_own_address(&mut self, _address: SocketAddr) -> bool {
+        false
+    }
     /// A flow of this table was opened (N-10).
     fn flow_opened(&mut self, table: &Table, flow: &FlowRecord);
     /// A flow was closed (N-10), of a table that may not be in force any more.

@@ -37,6 +37,8 @@ const CLIENTS: [&str; 10] = [
     "203.0.113.2:1000",
 ];
 const PUBLIC: [&str; 2] = ["192.0.2.1", "192.0.2.2"];
+/// An address of the router's own that some nets allow.
+const INSIDE: &str = "198.51.100.254";
 
 /// What the relay must do with a request that the simulation made.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -105,6 +107,14 @@ impl Shell for FakeShell {
 
     fn close_upstream(&mut self, id: UpstreamId) {
         self.ports.remove(&id).expect("closes what it opened");
+    }
+
+    fn has_upstream_port(&self, port: u16) -> bool {
+        self.ports.values().any(|&other| other == port)
+    }
+
+    fn is_own_address(&mut self, address: SocketAddr) -> bool {
+        address.ip() == INSIDE.parse::<IpAddr>().unwrap()
     }
 
     fn flow_opened(&mut self, _: &Table, flow: &FlowRecord) {
@@ -350,7 +360,8 @@ impl World {
         let password = *net.credentials[credential].password.octets();
         let mut octets = self.datagram(worker, &arrival, &password);
         let len = octets.len();
-        let reason = match self.rng.u32(0..12) {
+        let mut arrival = arrival;
+        let reason = match self.rng.u32(0..13) {
             0 => {
                 octets[len - 1] ^= 1 << self.rng.u32(0..8);
                 DropReason::PasswordWrong
@@ -402,6 +413,13 @@ impl World {
             10 => {
                 octets[self.rng.choice([4, 5, 7, 8]).unwrap()] = self.rng.u8(126..=127);
                 DropReason::Broadcast
+            }
+            11 => {
+                let ports = self.workers[worker].shell.ports.values().copied();
+                let Some(port) = self.rng.choice(ports.collect::<Vec<_>>()) else { return };
+                let address = self.rng.choice([arrival.public_address, INSIDE.parse().unwrap()]);
+                arrival.client = (address.unwrap(), port).into();
+                DropReason::Loop
             }
             _ => {
                 octets = std::iter::repeat_with(|| self.rng.u8(..)).take(len).collect();

@@ -239,6 +239,37 @@ fn no_upstream_socket_left() {
     relay.finish();
 }
 
+/// Clients of one net use up all sockets that it may have. The clients of others find theirs.
+#[test]
+fn a_net_that_takes_all_sockets_leaves_those_of_others() {
+    let site = Site::claim();
+    let press = Peer::bind("[::1]:0".parse().unwrap());
+    let server = format!(
+        "[[server]]\nname = \"press\"\npublic_port = 20200\naddress = \"{}\"\nnode = 4\n\
+         allow = [\"{}/24\"]\n[[server.password]]\nname = \"service\"\n\
+         file = \"secrets/section-1\"",
+        press.address(),
+        site.address(0)
+    );
+    let relay =
+        site.relay(Settings { sections: &server, descriptors: Some(168), ..Settings::default() });
+    let (node, other) = (site.node(4), site.node(3));
+    let address = site.client().address().ip();
+    for _ in 0..150 {
+        let client = Peer::bind((address, 0).into());
+        client.send(site.public(4), &request(4));
+    }
+    eventually("all are judged", || {
+        let received = relay.metrics().sum("pnet_nat_received_datagrams_total", &[]);
+        (received >= 150).then_some(())
+    });
+    let public = SocketAddr::from((site.public_address(), 20200));
+    exchange(&site.client(), site.public(3), &other, 3);
+    exchange(&site.client(), public, &press, 4);
+    drop(node);
+    relay.finish();
+}
+
 /// Loopback's broadcast address stands for a server that the system refuses to send to.
 #[test]
 fn a_server_that_cannot_be_sent_to() {

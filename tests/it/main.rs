@@ -21,6 +21,7 @@ mod floods;
 mod harness;
 mod killed;
 mod kubernetes;
+mod loops;
 mod namespaces;
 mod nat;
 mod package;
