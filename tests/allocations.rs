@@ -11,7 +11,7 @@ mod rig;
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
-use std::net::SocketAddr;
+use std::net::{Ipv4Addr, SocketAddr};
 use std::time::Duration;
 
 use pnet_nat::relay::{Arrival, DropReason, RequestRate};
@@ -137,7 +137,7 @@ fn a_dropped_request_costs_no_allocation() {
     let mut broadcast = ROUTE;
     broadcast[1] = 126;
     // In the order of the checks. Each is sent from a stranger first, where that makes a difference.
-    let cases: [(DropReason, SocketAddr, Vec<u8>); 13] = [
+    let cases: [(DropReason, SocketAddr, Vec<u8>); 14] = [
         (DropReason::TooShort, outside, vec![2, 0, 0, 0, 1]),
         (DropReason::TooLong, outside, vec![2; 108]),
         (DropReason::BadHeader, outside, [&[9, 9, 9, 9], &request(1)[4..]].concat()),
@@ -148,6 +148,7 @@ fn a_dropped_request_costs_no_allocation() {
         (DropReason::SourceNotAllowed, outside, request(1).to_vec()),
         (DropReason::PasswordWrong, member, wrong.clone()),
         (DropReason::Throttled, client_endpoint(1), wrong),
+        (DropReason::NotUnicast, member, request(1).to_vec()),
         (DropReason::Broadcast, member, secure(&broadcast)),
         (DropReason::NodeMismatch, member, request(2).to_vec()),
         (DropReason::FlowLimit, client_endpoint(2), request(1).to_vec()),
@@ -156,7 +157,10 @@ fn a_dropped_request_costs_no_allocation() {
     rig.open(0, 16);
     let mut seen = Vec::new();
     for (reason, client, octets) in cases {
-        let arrival = arrival(client, 1);
+        let mut arrival = arrival(client, 1);
+        if reason == DropReason::NotUnicast {
+            arrival.public_address = Ipv4Addr::UNSPECIFIED.into();
+        }
         if reason == DropReason::Throttled {
             (0..10).for_each(|_| {
                 expect_drop(&mut rig, &arrival, &octets, DropReason::PasswordWrong);

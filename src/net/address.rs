@@ -138,20 +138,25 @@ impl Control {
         &self.0[..len.min(Self::CAPACITY)]
     }
 
-    /// The local address in the `len` octets that the kernel wrote; none for a socket that was not
-    /// asked to tell, nor where the message was cut short.
+    /// The local address that a datagram was sent to, in the `len` octets that the kernel wrote.
+    ///
+    /// None for a socket that was not asked to tell, nor where the message was cut short, nor for
+    /// a datagram that was sent to a broadcast or multicast address: to be answered, IPv4 then names
+    /// another address than the one in the datagram's header.
     #[inline]
     pub(super) fn local_address(&self, len: usize) -> Option<IpAddr> {
         self.messages(len).find_map(|message| match (message.level, message.kind) {
             (libc::IPPROTO_IP, libc::IP_PKTINFO) => {
                 // SAFETY: plain integers.
                 let info = unsafe { message.content::<libc::in_pktinfo>() }?;
-                Some(Ipv4Addr::from(info.ipi_spec_dst.s_addr.to_ne_bytes()).into())
+                let (local, header) = (info.ipi_spec_dst.s_addr, info.ipi_addr.s_addr);
+                (local == header).then(|| Ipv4Addr::from(local.to_ne_bytes()).into())
             }
             (libc::IPPROTO_IPV6, libc::IPV6_PKTINFO) => {
                 // SAFETY: plain integers.
                 let info = unsafe { message.content::<libc::in6_pktinfo>() }?;
-                Some(Ipv6Addr::from(info.ipi6_addr.s6_addr).into())
+                let header = Ipv6Addr::from(info.ipi6_addr.s6_addr);
+                (!header.is_multicast()).then(|| header.into())
             }
             _ => None,
         })
@@ -180,7 +185,7 @@ impl Control {
                 let info = libc::in_pktinfo {
                     ipi_ifindex: 0,
                     ipi_spec_dst: in_addr(source),
-                    ipi_addr: in_addr(Ipv4Addr::UNSPECIFIED),
+                    ipi_addr: in_addr(source), // told, and not looked at
                 };
                 self.put(0, libc::IPPROTO_IP, libc::IP_PKTINFO, info)
             }
@@ -275,6 +280,22 @@ mod tests {
             assert_eq!(control.local_address(len), Some(source), "still there");
             assert_eq!(control.local_address(Control::CAPACITY + 1), Some(source));
         }
+    }
+
+    #[test]
+    fn a_broadcast_or_multicast_address_is_not_local() {
+        let mut control = Control::default();
+        let info = libc::in_pktinfo {
+            ipi_ifindex: 3,
+            ipi_spec_dst: in_addr("203.0.113.1".parse().unwrap()),
+            ipi_addr: in_addr("203.0.113.255".parse().unwrap()),
+        };
+        let len = control.put(0, libc::IPPROTO_IP, libc::IP_PKTINFO, info);
+        assert_eq!(control.local_address(len), None);
+        let group = in6_addr("ff02::1".parse().unwrap());
+        let info = libc::in6_pktinfo { ipi6_addr: group, ipi6_ifindex: 3 };
+        let len = control.put(0, libc::IPPROTO_IPV6, libc::IPV6_PKTINFO, info);
+        assert_eq!(control.local_address(len), None);
     }
 
     #[test]

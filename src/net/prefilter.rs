@@ -1,8 +1,11 @@
 //! The kernel's part of the checks: a classic BPF program on a public socket refuses what cannot
 //! pass, before it is queued, copied, or wakes the worker.
 //!
-//! It looks at lengths, header and password, never at who sent a datagram, and never refuses what
-//! the relay would accept: what it cannot decide it lets through. It needs no privilege.
+//! It looks at lengths, header and password, on a socket of all addresses also at where a datagram
+//! was sent to, never at who sent it, and never refuses what the relay would accept: what it cannot
+//! decide it lets through. It needs no privilege.
+
+use std::net::{IpAddr, Ipv4Addr, Ipv6Addr};
 
 use libc::{
     BPF_ABS, BPF_ADD, BPF_ALU, BPF_AND, BPF_B, BPF_IMM, BPF_IND, BPF_JA, BPF_JEQ, BPF_JGE, BPF_JGT,
@@ -18,6 +21,9 @@ use super::bpf::{Program, To};
 /// More passwords than that are not compared in the kernel: a program is too long for them.
 const MOST_PASSWORDS: usize = 40;
 
+/// Offset of the destination address, counted from the IPv4 header, and from the IPv6 header.
+const IPV4_DESTINATION: u32 = libc::SKF_NET_OFF as u32 + 16;
+const IPV6_DESTINATION: u32 = libc::SKF_NET_OFF as u32 + 24;
 /// Offset of the datagram in what the program sees, which begins with the UDP header.
 const DATAGRAM: u32 = 8;
 const ROUTE: u32 = DATAGRAM + Header::LEN as u32;
@@ -48,7 +54,8 @@ pub(super) fn is_same(one: (&Table, NetId), other: (&Table, NetId)) -> bool {
 /// Whoever may not send, or is throttled, hardly ever has a password.
 pub(super) fn spares(reason: DropReason) -> bool {
     match reason {
-        DropReason::TooShort
+        DropReason::NotUnicast
+        | DropReason::TooShort
         | DropReason::TooLong
         | DropReason::BadHeader
         | DropReason::BadRoute
@@ -70,11 +77,26 @@ pub(super) fn spares(reason: DropReason) -> bool {
     }
 }
 
-/// Refuses on a public socket what its net would refuse.
-pub(super) fn program(header: Header, net: &Net) -> Program {
+/// Refuses on a public socket what its net would refuse. A socket of one address gets nothing that
+/// was sent to another; `listen` tells whether this is one.
+pub(super) fn program(header: Header, net: &Net, listen: IpAddr) -> Program {
     let shortest =
         if net.allow_without_password { wire::MIN_DATAGRAM } else { wire::MIN_SECURE_DATAGRAM };
     let mut program = Program::new();
+    // A broadcast to one network alone does not look like one.
+    match listen {
+        IpAddr::V4(Ipv4Addr::UNSPECIFIED) => {
+            program.step(BPF_LD | BPF_W | BPF_ABS, IPV4_DESTINATION);
+            program.compare(BPF_JEQ, Ipv4Addr::BROADCAST.to_bits(), To::Refuse, To::Next);
+            program.step(BPF_ALU | BPF_AND | BPF_K, 0xf000_0000);
+            program.compare(BPF_JEQ, 0xe000_0000, To::Refuse, To::Next);
+        }
+        IpAddr::V6(Ipv6Addr::UNSPECIFIED) => {
+            program.step(BPF_LD | BPF_B | BPF_ABS, IPV6_DESTINATION);
+            program.compare(BPF_JEQ, 0xff, To::Refuse, To::Next);
+        }
+        _ => {}
+    }
     // Length of the datagram; kept in M[0].
     program.step(BPF_LD | BPF_W | BPF_LEN, 0);
     program.step(BPF_ALU | BPF_SUB | BPF_K, DATAGRAM);
@@ -130,7 +152,7 @@ pub(super) fn program(header: Header, net: &Net) -> Program {
 
 #[cfg(test)]
 mod tests {
-    use std::net::{Ipv4Addr, UdpSocket};
+    use std::net::UdpSocket;
     use std::sync::Arc;
     use std::time::{Duration, Instant};
 
@@ -175,7 +197,8 @@ mod tests {
             let outside = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0)).unwrap();
             outside.connect(inside.local_addr().unwrap()).unwrap();
             inside.set_nonblocking(true).unwrap();
-            program(Header::default(), net).attach(&SockRef::from(&inside)).unwrap();
+            let any = Ipv4Addr::UNSPECIFIED.into();
+            program(Header::default(), net, any).attach(&SockRef::from(&inside)).unwrap();
             Self { inside, outside }
         }
 

@@ -37,7 +37,8 @@ impl Listener {
 
     /// Turns the prefilter on, with the program for the net as `table` has it, or off.
     pub(super) fn filter(&self, on: bool, table: &Table) -> io::Result<()> {
-        let program = on.then(|| prefilter::program(table.header, table.net(self.net)));
+        let program =
+            on.then(|| prefilter::program(table.header, table.net(self.net), self.address.ip()));
         self.socket.filter(program.as_ref(), &self.drops)
     }
 

@@ -9,6 +9,7 @@ use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
 use std::os::fd::AsRawFd;
 use std::sync::Arc;
 
+use libc::c_int;
 use nix::errno::Errno;
 use nix::sys::socket::{setsockopt, sockopt};
 use socket2::{Domain, Protocol, Socket, Type};
@@ -66,6 +67,7 @@ pub(super) fn upstream(
     let socket = udp(ipv4, receive_buffer)?;
     let sized = socket.set_send_buffer_size(SEND_BUFFER);
     sized.map_err(CallError::of("setsockopt SO_SNDBUF"))?;
+    leave_groups_alone(&socket, ipv4).map_err(CallError::of("setsockopt MULTICAST_ALL"))?;
     let port = ports.bind(&socket, any(ipv4)).map_err(CallError::of("bind"))?;
     Ok((socket, port))
 }
@@ -136,22 +138,40 @@ fn udp(ipv4: bool, receive_buffer: usize) -> Result<Socket, CallError> {
     Ok(socket)
 }
 
+/// Has nothing arrive that was sent to a multicast group, of which a socket of ours is never a member:
+/// by default it would get what others on the host have joined.
+fn leave_groups_alone(socket: &Socket, ipv4: bool) -> io::Result<()> {
+    let (level, name) = if ipv4 {
+        (libc::IPPROTO_IP, libc::IP_MULTICAST_ALL)
+    } else {
+        (libc::IPPROTO_IPV6, libc::IPV6_MULTICAST_ALL)
+    };
+    match set_option(socket, level, name, 0) {
+        Err(Errno::ENOPROTOOPT) => Ok(()), // IPv6: since Linux 4.20
+        outcome => Ok(outcome?),
+    }
+}
+
 /// Has IPv4 datagrams leave with "don't fragment", whatever is claimed about the way: the longest
 /// makes a packet of 135 octets, which every link in use takes. The kernel then need not choose a
 /// number for fragments to find each other by (RFC 6864, 4.1).
 fn stay_whole(socket: &Socket) -> io::Result<()> {
-    let probe = libc::IP_PMTUDISC_PROBE;
+    let (name, probe) = (libc::IP_MTU_DISCOVER, libc::IP_PMTUDISC_PROBE);
+    Ok(set_option(socket, libc::IPPROTO_IP, name, probe)?)
+}
+
+fn set_option(socket: &Socket, level: c_int, name: c_int, value: c_int) -> nix::Result<()> {
     // SAFETY: the kernel reads an integer, of the length given.
     let result = unsafe {
         libc::setsockopt(
             socket.as_raw_fd(),
-            libc::IPPROTO_IP,
-            libc::IP_MTU_DISCOVER,
-            (&raw const probe).cast(),
-            size_of_val(&probe) as libc::socklen_t,
+            level,
+            name,
+            (&raw const value).cast(),
+            size_of_val(&value) as libc::socklen_t,
         )
     };
-    Ok(Errno::result(result).map(drop)?)
+    Errno::result(result).map(drop)
 }
 
 /// A socket on all addresses has to learn which one a request came to, and to answer from it.

@@ -200,6 +200,7 @@ impl Worker {
             let arrival = Arrival {
                 listener: id,
                 mapping: listener.mapping,
+                // Where the socket has to tell, and does not, that is no unicast address.
                 public_address: incoming.to.unwrap_or(listener.address.ip()),
                 client: incoming.from,
             };

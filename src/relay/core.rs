@@ -42,7 +42,8 @@ pub struct Arrival {
     pub listener: ListenerId,
     /// The element of the NAT table that the socket stands for.
     pub mapping: MappingId,
-    /// The address it was sent to; the answer has to leave from there.
+    /// The address of this host that it was sent to; the answer has to leave from there. An
+    /// unspecified one when it was sent to a broadcast or multicast address.
     pub public_address: IpAddr,
     /// Who sent it.
     pub client: SocketAddr,
@@ -272,6 +273,9 @@ impl Core {
         octets: &mut [u8],
         shell: &mut impl Shell,
     ) -> Result<ToServer, DropReason> {
+        if arrival.public_address.is_unspecified() {
+            return Err(DropReason::NotUnicast); // or each that has it would carry it out
+        }
         let mapping = self.rules.table.mapping(arrival.mapping);
         let net = self.rules.table.net(mapping.net);
         let request = Request::parse(octets, self.rules.table.header, net)?;

@@ -36,6 +36,8 @@ impl Direction {
 /// Why a datagram was not passed on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, VariantArray)]
 pub enum DropReason {
+    /// Sent to a broadcast or multicast address.
+    NotUnicast,
     /// Fewer octets than the smallest datagram that could be accepted.
     TooShort,
     /// More octets than the largest datagram (107).
@@ -81,7 +83,8 @@ impl DropReason {
     pub const COUNT: usize = Self::VARIANTS.len();
 
     /// The reasons of requests, in the order of the checks.
-    pub const REQUEST: [Self; 17] = [
+    pub const REQUEST: [Self; 18] = [
+        Self::NotUnicast,
         Self::TooShort,
         Self::TooLong,
         Self::BadHeader,
@@ -116,6 +119,7 @@ impl DropReason {
     /// The value of the metrics' label `reason`.
     pub const fn label(self) -> &'static str {
         match self {
+            Self::NotUnicast => "not_unicast",
             Self::TooShort => "too_short",
             Self::TooLong => "too_long",
             Self::BadHeader => "bad_header",
@@ -141,6 +145,7 @@ impl DropReason {
     /// What happened so many times, for the log: "37 wrong passwords".
     pub fn counted(self, count: u64) -> String {
         let (one, many) = match self {
+            Self::NotUnicast => ("request to many", "requests to many"),
             Self::TooShort => ("datagram too short", "datagrams too short"),
             Self::TooLong => ("datagram too long", "datagrams too long"),
             Self::BadHeader => ("wrong header", "wrong headers"),
@@ -167,6 +172,9 @@ impl DropReason {
     /// What it means and what to do, for people: the README's table and the status page.
     pub const fn explanation(self) -> &'static str {
         match self {
+            Self::NotUnicast => {
+                "Sent to a broadcast or multicast address, where others may carry it out too. Give the client an address of this router."
+            }
             Self::TooShort => {
                 "Fewer octets than a package with its password can have (16): noise, or a scanner."
             }

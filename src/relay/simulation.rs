@@ -7,7 +7,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Debug;
 use std::hash::{DefaultHasher, Hasher};
-use std::net::{IpAddr, SocketAddr};
+use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::process::Command;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -353,7 +353,7 @@ impl World {
     }
 
     fn bad_request(&mut self) {
-        let (worker, arrival) = self.arrival();
+        let (worker, mut arrival) = self.arrival();
         let credential = self.credential(worker, &arrival);
         let table = Arc::clone(&self.workers[worker].rules.table);
         let net = table.net(table.mapping(arrival.mapping).net);
@@ -420,6 +420,10 @@ impl World {
                 let address = self.rng.choice([arrival.public_address, INSIDE.parse().unwrap()]);
                 arrival.client = (address.unwrap(), port).into();
                 DropReason::Loop
+            }
+            10 => {
+                arrival.public_address = Ipv4Addr::UNSPECIFIED.into();
+                DropReason::NotUnicast
             }
             _ => {
                 octets = std::iter::repeat_with(|| self.rng.u8(..)).take(len).collect();

@@ -33,6 +33,7 @@ mod status;
 mod status_page;
 mod stopping;
 mod tunnel;
+mod unicast;
 mod upstream_ports;
 mod watching;
 mod wireshark;

@@ -74,7 +74,7 @@ pub(super) struct Incoming<'a> {
     pub slot: usize,
     /// The sender.
     pub from: SocketAddr,
-    /// The address it was sent to, when the socket tells.
+    /// The unicast address it was sent to, when the socket tells.
     pub to: Option<IpAddr>,
     /// The datagram, or its beginning.
     pub octets: &'a mut [u8],

@@ -107,6 +107,7 @@ impl Peer {
             Err(error) => panic!("{address}: {error}"),
         });
         socket.set_read_timeout(Some(PATIENCE)).unwrap();
+        socket.set_broadcast(true).unwrap();
         Self(socket)
     }
 
