@@ -13,8 +13,10 @@ use std::time::Duration;
 
 use tokio::sync::{Mutex, oneshot};
 use tokio::time::timeout;
+use tracing::warn;
 
 use crate::config::{self, Changes, Config, Faults, Warning};
+use crate::log::list;
 use crate::net::{ReloadError, Router, chain};
 use crate::service;
 use crate::thread::{self, ThreadError};
@@ -124,7 +126,9 @@ fn obey(orders: &mpsc::Receiver<Order>, path: &Path, router: &Router, is_stuck: 
             Order::Read(reply) => {
                 if reply.send(config::load(path)).is_err() {
                     is_stuck.store(false, SeqCst);
-                    tracing::warn!("the configuration is read at last, and not used; reload again");
+                    warn!(
+                        "a configuration is read at last, and dropped, for its reload was given up; reload again"
+                    );
                 }
             }
             // What came of it is in force, whether or not somebody waits.
@@ -137,19 +141,24 @@ fn log(outcome: &Result<Changes, ReloadError>) {
     match outcome {
         Ok(changes) => log_changes(changes),
         Err(ReloadError::Faults(faults)) => {
-            for fault in &faults.0 {
-                tracing::error!(
-                    file = %fault.file.display(),
-                    line = fault.line,
-                    key = fault.key,
-                    problem = fault.problem,
-                    remedy = fault.remedy,
-                    "configuration fault"
-                );
-            }
+            log_faults(faults);
             tracing::error!(error = "the configuration is not sound", "reload failed");
         }
         Err(error) => tracing::error!(error = chain(error), "reload failed"),
+    }
+}
+
+/// Logs one event for each fault.
+pub(crate) fn log_faults(faults: &Faults) {
+    for fault in &faults.0 {
+        tracing::error!(
+            file = %fault.file.display(),
+            line = fault.line,
+            key = fault.key,
+            problem = fault.problem,
+            remedy = fault.remedy,
+            "configuration fault"
+        );
     }
 }
 
@@ -187,8 +196,4 @@ fn log_changes(changes: &Changes) {
         not_in_force = list(&not_in_force),
         "reload"
     );
-}
-
-fn list(names: &[impl AsRef<str>]) -> String {
-    names.iter().map(AsRef::as_ref).collect::<Vec<_>>().join("; ")
 }

@@ -15,18 +15,17 @@ mod run;
 mod signals;
 mod status;
 
-use std::io::{self, ErrorKind, Write};
+use std::io::{self, ErrorKind};
 use std::path::Path;
 use std::process::ExitCode;
 use std::time::Duration;
 
 use anyhow::anyhow;
 use clap::{Parser, Subcommand};
-use tracing::Level;
 use ureq::Agent;
 
 use crate::config::{self, Config, Faults, Warning};
-use crate::log::{self, LogFormat};
+use crate::log::{self, LogFormat, LogLevel, complain};
 use crate::wire::Password;
 
 /// The NAT router of P-NET on IP (IEC PAS 62412): lets remote clients reach the server nodes of a
@@ -49,15 +48,19 @@ struct Cli {
         help_heading = LOGGING
     )]
     log_format: LogFormat,
-    /// What is logged: error, warn, info, debug or trace [default: info for run, warn elsewhere].
+    /// What is logged: error, warn or info, which has the audit log [default: info for run, warn
+    /// elsewhere].
     #[arg(
         long,
         global = true,
         env = "PNET_NAT_LOG_LEVEL",
         value_name = "LEVEL",
+        value_enum,
+        ignore_case = true,
+        hide_possible_values = true,
         help_heading = LOGGING
     )]
-    log_level: Option<Level>,
+    log_level: Option<LogLevel>,
     #[command(subcommand)]
     command: Command,
 }
@@ -87,12 +90,14 @@ const LOGGING: &str = "Logging";
 
 /// Runs the program.
 pub fn main() -> ExitCode {
+    signals::hold_back();
     let cli = Cli::parse();
-    let usual = match cli.command {
-        Command::Run(_) => Level::INFO,
-        _ => Level::WARN,
-    };
-    log::init(cli.log_format, cli.log_level.unwrap_or(usual));
+    let service = matches!(cli.command, Command::Run(_));
+    if !service {
+        signals::let_hangup_through();
+    }
+    let usual = if service { LogLevel::Info } else { LogLevel::Warn };
+    log::init(cli.log_format, cli.log_level.unwrap_or(usual), service);
     // Their exit code judges what was not seen to its end.
     let judges = matches!(cli.command, Command::Demo(_) | Command::Request(_));
     let done = match cli.command {
@@ -107,14 +112,16 @@ pub fn main() -> ExitCode {
         Command::Completions(args) => documentation::completions(&args),
         Command::Man(args) => documentation::man(&args),
     };
-    done.unwrap_or_else(|error| {
+    let code = done.unwrap_or_else(|error| {
         if is_broken_pipe(&error) {
             // Whoever reads the output has seen enough of it.
             return if judges { ExitCode::FAILURE } else { ExitCode::SUCCESS };
         }
         complain(format_args!("pnet-nat: {error:#}"));
         ExitCode::FAILURE
-    })
+    });
+    log::flush();
+    code
 }
 
 fn is_broken_pipe(error: &anyhow::Error) -> bool {
@@ -130,7 +137,7 @@ fn load(path: &Path) -> Result<(Config, Vec<Warning>), ExitCode> {
 /// What was read, or what to exit with once all faults are told.
 fn told<T>(read: Result<T, Faults>) -> Result<T, ExitCode> {
     read.map_err(|faults| {
-        complain(faults);
+        log::complain_of_faults(&faults);
         ExitCode::from(BAD_USE)
     })
 }
@@ -149,10 +156,4 @@ fn agent(timeout: Duration) -> Agent {
         .proxy(None)
         .build()
         .into()
-}
-
-/// Says on stderr why a command cannot be carried out. When even stderr is gone, the exit code
-/// has to do.
-fn complain(message: impl std::fmt::Display) {
-    let _ = writeln!(io::stderr(), "{message}");
 }

@@ -15,7 +15,7 @@ use tokio::runtime::Runtime;
 use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio::sync::Notify;
 
-use super::signals::Signals;
+use super::signals::{Signals, let_hangup_through};
 use super::{BAD_USE, TRY_AGAIN, complain, load, told};
 use crate::admin;
 use crate::config::{self, Admin, Config, Warning};
@@ -53,12 +53,13 @@ pub(super) struct Args {
 
 /// Runs the command.
 pub(super) fn run(args: &Args) -> anyhow::Result<ExitCode> {
-    // Starts no thread yet. Until there is somebody to answer it, SIGHUP would end the process.
+    // Starts no thread yet. From here on there is somebody to answer SIGHUP.
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     let hangup = {
         let _context = runtime.enter();
         signal(SignalKind::hangup())?
     };
+    let_hangup_through();
     let prepared = (!args.no_sandbox).then(sandbox::prepare);
     let (config, warnings, user) = match read(&args.config, prepared.is_some()) {
         Ok(sound) => sound,
@@ -78,13 +79,13 @@ pub(super) fn run(args: &Args) -> anyhow::Result<ExitCode> {
     // Every thread inherits the confinement, for up to here there is only this one.
     let sandbox = prepared.map_or_else(Sandbox::off, |prepared| prepared.confine(&files));
     sandbox.announce();
-    let _log = log::in_background();
-    let started = router.start().map_err(anyhow::Error::from).and_then(|router| {
-        let router = Arc::new(router);
+    let start_threads = || -> anyhow::Result<_> {
+        log::in_background()?;
+        let router = Arc::new(router.start()?);
         let reloader = Reloader::start(args.config.clone(), Arc::clone(&router))?;
         Ok((router, reloader))
-    });
-    let (router, reloader) = match started {
+    };
+    let (router, reloader) = match start_threads() {
         Ok(started) => started,
         Err(error) => return Ok(refuse(error)),
     };
@@ -215,7 +216,7 @@ fn announce(router: &Router) {
     let config = &in_force.config;
     tracing::info!(
         version = env!("CARGO_PKG_VERSION"),
-        listen = ?config.listen,
+        listen = log::list(&config.listen),
         nets = config.table.nets().len(),
         public_ports = config.table.mappings().len(),
         workers = in_force.counters.len(),

@@ -1,7 +1,8 @@
-//! The signals that end a command.
+//! The signals that end a command, and those that must not.
 
 use std::io;
 
+use nix::sys::signal::{SigSet, Signal as Name};
 use tokio::signal::unix::{Signal, SignalKind, signal};
 
 /// SIGTERM and SIGINT, from its making on.
@@ -24,4 +25,17 @@ impl Signals {
             _ = self.interrupt.recv() => "SIGINT",
         }
     }
+}
+
+/// Holds SIGHUP back until [`let_hangup_through`], and SIGXFSZ for good: a file that may not grow any
+/// more is an error of who writes it, and not the end. Threads that are started later inherit it.
+pub(super) fn hold_back() {
+    let signals: SigSet = [Name::SIGHUP, Name::SIGXFSZ].into_iter().collect();
+    // Without it, the signals do what they do by themselves.
+    let _ = signals.thread_block();
+}
+
+/// One that came meanwhile comes now.
+pub(super) fn let_hangup_through() {
+    let _ = SigSet::from(Name::SIGHUP).thread_unblock();
 }

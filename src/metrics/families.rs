@@ -180,7 +180,7 @@ pub(super) const ROUTER_FAMILIES: &[RouterFamily] = &[
     },
     RouterFamily {
         name: "pnet_nat_log_lines_lost_total",
-        help: "Lines of the log that stderr did not take fast enough.",
+        help: "Lines of the log that stderr did not take, or not fast enough.",
         kind: MetricType::COUNTER,
         sample: |state| counter(&[], state.log_lines_lost),
     },

@@ -19,6 +19,8 @@ use nix::unistd::{Uid, geteuid};
 use strum::VariantArray;
 use tracing::field::display;
 
+use crate::log::list;
+
 pub use user::{User, UserError};
 
 /// A way in which the process is confined.
@@ -142,7 +144,7 @@ impl Sandbox {
         }
         if !self.fixed.is_empty() {
             tracing::warn!(
-                files = ?self.fixed,
+                files = list(self.fixed.iter().map(|file| file.display())),
                 "when one of these is replaced, restart; in a folder of its own, a reload would do"
             );
         }

@@ -5,7 +5,9 @@ use std::io::Read;
 use std::path::Path;
 use std::process::{Command, Stdio};
 
-use crate::harness::{Process, Relay, Settings, Site, Terminal, eventually, left_out, pnet_nat};
+use crate::harness::{
+    Process, Relay, Settings, Site, Terminal, eventually, folder, left_out, pnet_nat,
+};
 
 fn stdout(arguments: &[&str]) -> String {
     let mut process = Process::start(pnet_nat(arguments));
@@ -241,5 +243,49 @@ fn an_output_that_is_closed_is_no_fault() {
         let mut stderr = String::new();
         child.stderr.take().unwrap().read_to_string(&mut stderr).unwrap();
         assert_eq!((ended.code(), stderr.as_str()), (Some(code), ""), "{arguments:?}");
+    }
+}
+
+/// Whoever collects the log of a relay gets JSON from its first line on, also when there is no more
+/// to come; text where text is wanted.
+#[test]
+fn what_keeps_a_relay_from_starting_is_json_among_json() {
+    let site = Site::claim();
+    let sound = site.configuration(&Settings::default());
+    let _taken = std::net::UdpSocket::bind(site.public(4)).unwrap();
+    for (configuration, key, text) in [
+        ("[public".to_owned(), "problem", "pnet-nat.toml:1: "),
+        (
+            sound.replace("[runtime]", "[runtime]\nuser = \"nobody-of-this-name\""),
+            "message",
+            "pnet-nat: ",
+        ),
+        (sound, "error", "pnet-nat: "),
+    ] {
+        let folder = folder(&configuration);
+        let path = folder.path().join("pnet-nat.toml");
+        let run = |format: &str| {
+            let arguments = ["run", "--config", path.to_str().unwrap(), "--log-format", format];
+            let mut process = Process::start(pnet_nat(&arguments));
+            assert_ne!(process.end(), Some(0));
+            process
+        };
+        for format in ["auto", "json"] {
+            let lines: Vec<_> = run(format).log().collect();
+            let told = |line: &serde_json::Value| line["level"] == "ERROR" && line[key].is_string();
+            assert!(lines.iter().any(told), "{lines:?}");
+        }
+        let said = run("text").stderr();
+        assert!(said.contains(text) && !said.contains('{'), "{said}");
+    }
+}
+
+#[test]
+fn a_level_that_would_say_no_more_is_not_offered() {
+    for level in ["debug", "trace", "loud"] {
+        let mut process = Process::start(pnet_nat(&["demo", "--log-level", level]));
+        assert_eq!(process.end(), Some(2));
+        let said = process.stderr();
+        assert!(said.contains(level) && said.contains("error, warn, info"), "{said}");
     }
 }

@@ -344,5 +344,6 @@ fn a_user_without_any_privilege_is_confined_as_well() {
     fs::write(folder.path().join("pnet-nat.toml"), other).unwrap();
     let mut refused = start();
     assert_eq!(refused.end(), Some(2));
-    assert!(refused.stderr().contains("only root becomes \"65533\""), "{}", refused.stderr());
+    let why = refused.logged("failed").pop().unwrap();
+    assert!(why["error"].as_str().unwrap().contains("only root becomes \"65533\""), "{why}");
 }

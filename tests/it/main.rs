@@ -14,6 +14,7 @@ mod confinement;
 mod container;
 mod decode;
 mod drops;
+mod early_signals;
 mod fail2ban;
 mod failover;
 mod faults;

@@ -51,7 +51,7 @@ pub(super) struct Args {
 
 /// Runs the demo; fails unless every answer was right and the stranger got none.
 pub(super) fn run(args: Args) -> anyhow::Result<ExitCode> {
-    let _log = log::in_background();
+    log::in_background()?;
     tokio::runtime::Builder::new_current_thread().enable_all().build()?.block_on(demo(args))
 }
 

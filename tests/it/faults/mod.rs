@@ -4,6 +4,7 @@
 mod clock;
 mod kernel;
 mod links;
+mod log;
 mod process;
 mod servers;
 mod threads;

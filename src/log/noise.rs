@@ -1,90 +1,15 @@
-//! The log: events to stderr, and the report that stands for noise.
-//!
-//! A datagram never makes a line of its own. What strangers send is counted, and [`Noise`] says
-//! once a window how much it was, and how much the audit log left out; a stderr that nobody reads
-//! loses lines and holds up nothing, and [`lines_lost`] counts them.
+//! The report of dropped datagrams, which stands for a line of each.
 
 use std::collections::HashMap;
-use std::io::{self, IsTerminal};
-use std::sync::{Arc, OnceLock};
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use tokio::time::{self, MissedTickBehavior};
-use tracing::{Level, warn};
-use tracing_appender::non_blocking::{NonBlocking, NonBlockingBuilder, WorkerGuard};
+use tracing::warn;
 
 use crate::metrics::totals::NodeTotals;
 use crate::net::{InForce, Router};
 use crate::relay::{Direction, DropReason, MappingId, NetId, SourceSketch, Table};
-
-/// Lines that wait for a slow stderr; more are lost.
-const WAITING_LINES: usize = 16 * 1024;
-
-/// How events are written.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
-pub enum LogFormat {
-    /// Text on a terminal, else JSON.
-    #[default]
-    Auto,
-    /// Lines for people.
-    Text,
-    /// One JSON object a line.
-    Json,
-}
-
-/// Keeps the log going; writes out what waits when dropped.
-#[derive(Debug)]
-#[must_use = "the log ends when the guard is dropped"]
-pub struct Guard(#[expect(dead_code, reason = "held for its drop")] WorkerGuard);
-
-/// Where lines go to be written by a thread of the log's own, once there is one.
-static BACKGROUND: OnceLock<NonBlocking> = OnceLock::new();
-
-/// Starts logging to stderr, for the whole process and once only. Times are UTC, as RFC 3339. Who
-/// logs writes, until [`in_background`].
-pub fn init(format: LogFormat, level: Level) {
-    let terminal = io::stderr().is_terminal();
-    let events = tracing_subscriber::fmt().with_max_level(level).with_writer(writer);
-    let json = match format {
-        LogFormat::Auto => !terminal,
-        LogFormat::Text => false,
-        LogFormat::Json => true,
-    };
-    if json {
-        events.json().flatten_event(true).with_current_span(false).with_span_list(false).init();
-    } else {
-        events.with_target(false).with_ansi(terminal && !no_color()).init();
-    }
-}
-
-/// Has lines written by a thread of its own from now on, so that a stderr that nobody reads holds
-/// up nobody. The thread may do what the calling one may.
-pub fn in_background() -> Guard {
-    let (writer, guard) = NonBlockingBuilder::default()
-        .lossy(true)
-        .buffered_lines_limit(WAITING_LINES)
-        .finish(io::stderr());
-    // The first one stays.
-    let _ = BACKGROUND.set(writer);
-    Guard(guard)
-}
-
-/// Lines that were lost so far, because stderr did not take them fast enough.
-pub fn lines_lost() -> u64 {
-    BACKGROUND.get().map_or(0, |background| background.error_counter().dropped_lines() as u64)
-}
-
-fn writer() -> Box<dyn io::Write> {
-    match BACKGROUND.get() {
-        Some(background) => Box::new(background.clone()),
-        None => Box::new(io::stderr()),
-    }
-}
-
-/// Whether the user wants no colours (no-color.org).
-pub(crate) fn no_color() -> bool {
-    std::env::var_os("NO_COLOR").is_some_and(|value| !value.is_empty())
-}
 
 /// Reports dropped datagrams: a line for each net and reason in each window that had some. Its
 /// windows are those of the audit log too.
@@ -203,39 +128,15 @@ fn carried_over<T: Copy + Default>(figures: &[T], old: &Table, new: &Table) -> V
 
 #[cfg(test)]
 mod tests {
-    use std::sync::Mutex;
-
     use serde_json::{Value, json};
 
     use super::*;
+    use crate::log::tests::logged;
     use crate::metrics::fixture::{NODE_1, NODE_33, SECTION, config};
 
-    /// The lines that one report writes, without their times.
+    /// The lines that one report writes.
     fn report(noise: &mut Noise) -> Vec<Value> {
-        let written = Arc::new(Mutex::new(Vec::new()));
-        let writer = written.clone();
-        let subscriber = tracing_subscriber::fmt()
-            .json()
-            .flatten_event(true)
-            .with_target(false)
-            .without_time()
-            .with_writer(move || Lines(writer.clone()))
-            .finish();
-        tracing::subscriber::with_default(subscriber, || noise.report(Noise::WINDOW));
-        let written = String::from_utf8(written.lock().unwrap().clone()).unwrap();
-        written.lines().map(|line| serde_json::from_str(line).unwrap()).collect()
-    }
-
-    struct Lines(Arc<Mutex<Vec<u8>>>);
-
-    impl io::Write for Lines {
-        fn write(&mut self, octets: &[u8]) -> io::Result<usize> {
-            self.0.lock().unwrap().write(octets)
-        }
-
-        fn flush(&mut self) -> io::Result<()> {
-            Ok(())
-        }
+        logged(|| noise.report(Noise::WINDOW))
     }
 
     fn drop_some(router: &Router, reason: DropReason, sources: impl Iterator<Item = u64>) {
