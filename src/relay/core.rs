@@ -93,14 +93,15 @@ impl Core {
     pub fn new(rules: Rules, counters: Arc<Counters>, start: Instant, chance: Chance) -> Self {
         let Chance { hash, choice } = chance;
         let throttle = Throttle::new(&rules.limits, hash.clone());
+        let capacity = rules.most_flows();
         Self {
             rules,
             counters,
-            flows: Flows::new(hash.clone()),
-            wheel: Wheel::new(),
+            flows: Flows::new(hash.clone(), capacity),
+            wheel: Wheel::new(capacity),
             era: 0,
             going_over: None,
-            upstreams: Upstreams::new(hash, choice),
+            upstreams: Upstreams::new(hash, choice, capacity),
             throttle,
             start,
         }

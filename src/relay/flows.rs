@@ -23,11 +23,12 @@ pub(super) struct Flows {
 }
 
 impl Flows {
-    pub(super) fn new(hash: SeedableRandomState) -> Self {
+    /// No flows, and room for so many: to make room later would hold up everybody.
+    pub(super) fn new(hash: SeedableRandomState, capacity: usize) -> Self {
         Self {
-            flows: Slab::new(),
-            by_endpoints: HashTable::new(),
-            by_server: HashTable::new(),
+            flows: Slab::with_capacity(capacity),
+            by_endpoints: HashTable::with_capacity(capacity),
+            by_server: HashTable::with_capacity(capacity),
             hash,
         }
     }

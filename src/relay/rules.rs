@@ -23,6 +23,12 @@ impl Rules {
         Self { table, limits, budget }
     }
 
+    /// Flows that may be open at once.
+    pub(super) fn most_flows(&self) -> usize {
+        let of_nets = self.table.nets().iter().map(|net| net.max_flows as usize).sum();
+        (self.limits.max_flows as usize).min(of_nets)
+    }
+
     /// The rules that come after these: what nets have taken of flows and requests stays taken.
     pub fn followed_by(&self, table: Arc<Table>, limits: Limits) -> Self {
         let budget = Arc::new(self.budget.with_limits(&self.table, &table, &limits));

@@ -87,12 +87,13 @@ struct Home {
 }
 
 impl Upstreams {
-    pub(super) fn new(hash: SeedableRandomState, random: fastrand::Rng) -> Self {
+    /// No sockets, and room for the pairs of so many flows.
+    pub(super) fn new(hash: SeedableRandomState, random: fastrand::Rng, capacity: usize) -> Self {
         Self {
             sockets: Slab::new(),
             open: Vec::new(),
-            pairs: HashMap::with_hasher(hash.clone()),
-            homes: HashMap::with_hasher(hash),
+            pairs: HashMap::with_capacity_and_hasher(capacity, hash.clone()),
+            homes: HashMap::with_capacity_and_hasher(capacity, hash),
             resting: Queue::new(),
             random,
         }

@@ -32,8 +32,11 @@ struct Link {
 }
 
 impl Wheel {
-    pub(super) fn new() -> Self {
-        Self { links: (0..=WAITING).map(Link::alone).collect(), tick: 0 }
+    /// No flows, and room for so many.
+    pub(super) fn new(capacity: usize) -> Self {
+        let mut links = Vec::with_capacity(WAITING as usize + 1 + capacity);
+        links.extend((0..=WAITING).map(Link::alone));
+        Self { links, tick: 0 }
     }
 
     /// Has a flow looked at when this time has come.
@@ -155,7 +158,7 @@ mod tests {
         /// As a list of times would have it.
         #[test]
         fn a_flow_is_found_when_it_is_due_and_not_before(steps in steps()) {
-            let (mut wheel, mut times, mut now) = (Wheel::new(), BTreeMap::new(), 1);
+            let (mut wheel, mut times, mut now) = (Wheel::new(4), BTreeMap::new(), 1);
             for step in steps {
                 match step {
                     Step::File(id, in_so_long) => {
