@@ -7,10 +7,12 @@
 mod rig;
 
 use std::hint::black_box;
+use std::net::{IpAddr, Ipv4Addr};
 
 use criterion::measurement::WallTime;
 use criterion::{BenchmarkGroup, Criterion, Throughput};
 use fastrand::Rng;
+use ipnet::IpNet;
 use pnet_nat::relay::DropReason;
 use pnet_nat::wire::{Datagram, Header};
 
@@ -27,6 +29,7 @@ fn main() {
     measure(&mut criterion, "request", requests);
     measure(&mut criterion, "response", responses);
     measure(&mut criterion, "drop", drops);
+    measure(&mut criterion, "source", sources);
     measure(&mut criterion, "flow", flow);
     criterion.final_summary();
 }
@@ -134,6 +137,26 @@ fn drops(group: &mut Group) {
             rig.core.request(rig.now, &outside, octets, &mut rig.shell).is_err()
         });
     });
+}
+
+/// What strangers send from outside `allow`, however long that is.
+fn sources(group: &mut Group) {
+    for networks in [1_u32, 100, 10_000, 50_000] {
+        // One /32 in four, so that no two make one.
+        let network = |n| IpNet::from(IpAddr::from(Ipv4Addr::from_bits(0x0a00_0000 + 4 * n)));
+        let allow = (0..networks).map(network).collect();
+        let mut rig = Rig::new(&Site { allow, ..Site::default() });
+        let mut random = Rng::with_seed(9);
+        group.bench_function(format!("outside of {networks} networks"), |bencher| {
+            bencher.iter(|| {
+                let stranger = Ipv4Addr::from_bits(0x0a00_0001 + 4 * random.u32(..networks));
+                let arrival = arrival((stranger, 7).into(), 1);
+                let mut octets = request(1);
+                let verdict = rig.core.request(rig.now, &arrival, &mut octets, &mut rig.shell);
+                assert_eq!(verdict, Err(DropReason::SourceNotAllowed));
+            });
+        });
+    }
 }
 
 /// A flow's whole life: its socket is opened, the flow idles away, the pair rests, the socket is

@@ -45,7 +45,7 @@ fn measure(flows: u32) {
         [("a reload that keeps all", PASSWORD), ("a reload that withdraws all", b"another!")]
     {
         let mut calls = Calls::default();
-        let next = rig.succession(&Site { password, ..site });
+        let next = rig.succession(&Site { password, ..site.clone() });
         calls.time(|| rig.core.reload(rig.now, next, &mut rig.shell));
         while calls.time(|| rig.core.go_over(rig.now, &mut rig.shell)).is_none() {}
         told(what, calls);

@@ -145,6 +145,7 @@ fn a_dropped_request_costs_no_allocation() {
         (DropReason::RouteFormat, outside, secure(&[0x02, 0x81])),
         (DropReason::BadLength, outside, request(1)[..37].to_vec()),
         (DropReason::PasswordMissing, outside, datagram(&ROUTE, &[7; 16], &[])),
+        (DropReason::Unanswerable, SocketAddr::new(outside.ip(), 0), request(1).to_vec()),
         (DropReason::SourceNotAllowed, outside, request(1).to_vec()),
         (DropReason::PasswordWrong, member, wrong.clone()),
         (DropReason::Throttled, client_endpoint(1), wrong),

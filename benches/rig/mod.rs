@@ -10,6 +10,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use fastrand::Rng;
+use ipnet::IpNet;
 use pnet_nat::relay::{
     Arrival, Chance, CloseReason, Core, Counters, Credential, FlowRecord, Limits, ListenerId,
     Mapping, MappingId, Net, NetId, NetKind, RequestRate, Rules, Shell, Succession, Table,
@@ -34,6 +35,7 @@ const SERVER_PORT: u16 = 34_379;
 const PORTS_OF_AN_ADDRESS: u32 = 250;
 
 /// What differs between the nets of the cases.
+#[derive(Clone)]
 pub(crate) struct Site {
     /// Nodes, from 1 up.
     pub(crate) nodes: u8,
@@ -47,6 +49,8 @@ pub(crate) struct Site {
     pub(crate) device_password: bool,
     /// What clients send.
     pub(crate) password: &'static [u8; 8],
+    /// Networks that clients may come from.
+    pub(crate) allow: Vec<IpNet>,
 }
 
 impl Default for Site {
@@ -58,6 +62,7 @@ impl Default for Site {
             sockets: 100_000,
             device_password: false,
             password: PASSWORD,
+            allow: vec!["10.0.0.0/8".parse().unwrap()],
         }
     }
 }
@@ -67,7 +72,7 @@ impl Site {
         let net = Net {
             name: "section-1".into(),
             kind: NetKind::UdpRange { start_port: START_PORT },
-            allow: vec!["10.0.0.0/8".parse().unwrap()],
+            allow: self.allow.clone(),
             credentials: vec![Credential {
                 name: "service".into(),
                 password: Password::new(*self.password),

@@ -182,7 +182,10 @@ impl World {
         };
 
         assert_eq!(to.server, mapping.server, "R-9");
-        assert!(known || net.allows(client.ip()), "a flow of a source that is not allowed");
+        assert!(
+            known || table.allows(mapping.net, client.ip()),
+            "a flow of a source that is not allowed"
+        );
         assert_eq!(after.len(), before.len() + usize::from(!known));
         let flow = after.iter().find(|flow| is_its(flow)).expect("it has a flow");
         assert_eq!((flow.upstream_port, flow.idle), (self.sockets.ports[&to.via], Duration::ZERO));
@@ -200,7 +203,7 @@ impl World {
         if input.octet() % 16 == 15 {
             return self.core.send_failed(id, Direction::Request);
         }
-        self.core.sent(id, Direction::Request, got.len());
+        self.core.request_sent(self.now, id, to.asks, got.len());
         self.at_nodes.push((to.via, to.server, got));
     }
 
@@ -263,7 +266,7 @@ impl World {
         self.use_pair(flow.upstream_port, server, client);
         match input.octet() % 16 {
             15 => self.core.send_failed(mapping, Direction::Response),
-            _ => self.core.sent(mapping, Direction::Response, got.len()),
+            _ => self.core.response_sent(mapping, got.len()),
         }
     }
 
@@ -309,8 +312,8 @@ impl World {
         self.going_over = true;
         for flow in &self.flows() {
             assert!(before.contains(&lasting(&new, flow)), "{flow:?} was another one before");
-            let net = new.net(new.mapping(flow.mapping).net);
-            assert!(net.allows(flow.client.ip()), "{flow:?} has no right any more");
+            let net = new.mapping(flow.mapping).net;
+            assert!(new.allows(net, flow.client.ip()), "{flow:?} has no right any more");
         }
         self.flows_before_reload = self.open_flows();
     }

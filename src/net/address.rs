@@ -238,11 +238,11 @@ impl Message<'_> {
     }
 }
 
-fn in_addr(address: Ipv4Addr) -> libc::in_addr {
+pub(super) fn in_addr(address: Ipv4Addr) -> libc::in_addr {
     libc::in_addr { s_addr: u32::from_ne_bytes(address.octets()) }
 }
 
-fn in6_addr(address: Ipv6Addr) -> libc::in6_addr {
+pub(super) fn in6_addr(address: Ipv6Addr) -> libc::in6_addr {
     libc::in6_addr { s6_addr: address.octets() }
 }
 

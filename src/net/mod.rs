@@ -30,6 +30,7 @@ mod tick;
 mod upstream;
 #[allow(unsafe_code)]
 mod wait;
+mod way_back;
 mod worker;
 
 pub use bind::StartError;

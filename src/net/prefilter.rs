@@ -62,6 +62,7 @@ pub(super) fn spares(reason: DropReason) -> bool {
         | DropReason::RouteFormat
         | DropReason::BadLength
         | DropReason::PasswordMissing
+        | DropReason::Unanswerable
         | DropReason::SourceNotAllowed
         | DropReason::Throttled
         | DropReason::PasswordWrong => true,

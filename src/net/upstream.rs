@@ -13,7 +13,9 @@ use std::time::Instant;
 use nix::sys::epoll::Epoll;
 
 use crate::config::{Prefilter, Runtime};
-use crate::relay::{CloseReason, FlowRecord, MappingId, Shell, Table, Throttled, UpstreamId};
+use crate::relay::{
+    Arrival, CloseReason, FlowRecord, MappingId, Shell, Table, Throttled, UpstreamId,
+};
 
 use super::audit::Audit;
 use super::complaints::Complaints;
@@ -21,7 +23,8 @@ use super::filtered::{FilteredSocket, NetDrops};
 use super::flood::FloodWatch;
 use super::place::Place;
 use super::ports::{Port, Ports};
-use super::{socket, strays};
+use super::public::Listeners;
+use super::{socket, strays, way_back};
 
 /// The upstream sockets, and with them the core's [`Shell`].
 pub(super) struct UpstreamSockets {
@@ -40,6 +43,8 @@ pub(super) struct UpstreamSockets {
     table: Arc<Table>,
     started: Instant,
     complaints: Complaints,
+    /// The worker's public sockets: from there answers leave.
+    public: Listeners,
 }
 
 /// What the workers have in common.
@@ -83,7 +88,13 @@ impl UpstreamSockets {
             table,
             started,
             complaints: Complaints::default(),
+            public: Listeners::default(),
         }
+    }
+
+    /// Takes over the worker's public sockets.
+    pub(super) fn answer_from(&mut self, public: Listeners) {
+        self.public = public;
     }
 
     /// Goes over to another configuration. Sockets beyond a lower limit stay open.
@@ -213,6 +224,12 @@ impl Shell for UpstreamSockets {
     fn is_own_address(&mut self, address: SocketAddr) -> bool {
         // There is no way to an address that is refused.
         socket::is_own(address, &self.shared.ports).unwrap_or(false)
+    }
+
+    fn can_answer(&mut self, arrival: &Arrival) -> bool {
+        let Arrival { listener, public_address, client, .. } = *arrival;
+        let listener = self.public.get(listener);
+        listener.is_none_or(|listener| way_back::exists(listener, public_address, client))
     }
 
     fn flow_opened(&mut self, table: &Table, flow: &FlowRecord) {

@@ -107,17 +107,19 @@ impl Worker {
         let ticker = Ticker::new(&parts.epoll)?;
         let (prefilter, places) = (parts.runtime.prefilter, parts.listeners.places());
         let floods = FloodGuard::new(prefilter, places, parts.table.clone(), parts.started);
+        let mut upstream = UpstreamSockets::new(
+            Arc::clone(&parts.epoll),
+            parts.shared,
+            parts.upstream_limit,
+            &parts.runtime,
+            parts.started,
+            parts.table,
+        );
+        upstream.answer_from(parts.listeners.clone());
         Ok(Self {
             core: parts.core,
             listeners: parts.listeners,
-            upstream: UpstreamSockets::new(
-                Arc::clone(&parts.epoll),
-                parts.shared,
-                parts.upstream_limit,
-                &parts.runtime,
-                parts.started,
-                parts.table,
-            ),
+            upstream,
             epoll: parts.epoll,
             batch: Batch::new(),
             helpings: Helpings::default(),
@@ -150,7 +152,7 @@ impl Worker {
             for event in &events[..ready] {
                 self.take(Place::from_key(event.data()), now);
             }
-            self.flush();
+            self.flush(now);
             self.tidy(now);
             self.busy.note(now, ready);
             self.ticker.run(!self.core.is_idle() || !self.floods.is_quiet());
@@ -172,7 +174,7 @@ impl Worker {
     }
 
     fn take(&mut self, place: Place, now: Instant) {
-        self.make_room();
+        self.make_room(now);
         let received = match place {
             Place::Public(_) if self.drain_until.is_some() => return,
             Place::Public(id) => self.take_requests(id, now),
@@ -209,7 +211,7 @@ impl Worker {
             match verdict {
                 Ok(to) => {
                     let (mapping, direction) = (listener.mapping, Direction::Request);
-                    let tag = Tag { mapping, direction, octets };
+                    let tag = Tag { mapping, direction, octets, asks: to.asks };
                     self.batch.queue(slot, Place::Upstream(to.via).key(), None, to.server, tag);
                 }
                 Err(reason) => spared += usize::from(prefilter::spares(reason)),
@@ -234,7 +236,8 @@ impl Worker {
             let (slot, octets) = (incoming.slot, incoming.octets.len());
             match self.core.response(now, id, incoming.from, incoming.octets) {
                 Ok(to) => {
-                    let tag = Tag { mapping: to.mapping, direction: Direction::Response, octets };
+                    let (mapping, direction) = (to.mapping, Direction::Response);
+                    let tag = Tag { mapping, direction, octets, asks: None };
                     let own = self.listeners.get(to.via).and_then(Listener::own_address);
                     let from = own.is_none().then_some(to.public_address);
                     self.batch.queue(slot, Place::Public(to.via).key(), from, to.client, tag);
@@ -248,13 +251,13 @@ impl Worker {
         received
     }
 
-    fn make_room(&mut self) {
+    fn make_room(&mut self, now: Instant) {
         if self.batch.is_full() {
-            self.flush();
+            self.flush(now);
         }
     }
 
-    fn flush(&mut self) {
+    fn flush(&mut self, now: Instant) {
         let (listeners, upstream) = (&self.listeners, &self.upstream);
         self.batch.flush(
             |key| match Place::from_key(key) {
@@ -263,7 +266,12 @@ impl Worker {
                 Place::Wake | Place::Tick => None,
             },
             |tag, outcome| match outcome {
-                Ok(()) => self.core.sent(tag.mapping, tag.direction, tag.octets),
+                Ok(()) => match tag.direction {
+                    Direction::Request => {
+                        self.core.request_sent(now, tag.mapping, tag.asks, tag.octets);
+                    }
+                    Direction::Response => self.core.response_sent(tag.mapping, tag.octets),
+                },
                 Err(error) => {
                     self.core.send_failed(tag.mapping, tag.direction);
                     self.complaints.note(
@@ -334,7 +342,7 @@ impl Worker {
         while self.reloading.is_some() {
             self.tidy(now);
         }
-        self.flush(); // what waits to be sent is counted under the table that it came by
+        self.flush(now); // what waits to be sent is counted under the table that it came by
         let Next { succession, listeners, upstream_limit, runtime } = next;
         let before = mem::replace(&mut self.listeners, listeners);
         let after = &self.listeners;
@@ -347,6 +355,7 @@ impl Worker {
         }
         self.floods.reload(runtime.prefilter, Arc::clone(&table), &before, after);
         self.upstream.reload(upstream_limit, &runtime, table);
+        self.upstream.answer_from(self.listeners.clone());
         self.busy = BusyPoll::new(runtime.busy_poll);
     }
 }

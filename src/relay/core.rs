@@ -56,6 +56,8 @@ pub struct ToServer {
     pub via: UpstreamId,
     /// The server's address and port.
     pub server: SocketAddr,
+    /// Whose answer is due once it is sent; none when it wants no answer.
+    pub asks: Option<FlowId>,
 }
 
 /// Where a response goes.
@@ -108,7 +110,8 @@ impl Core {
     }
 
     /// Judges a request. When it may pass, `octets` hold what the server is to get, and the caller
-    /// sends them and reports with [`sent`](Self::sent) or [`send_failed`](Self::send_failed).
+    /// sends them and reports with [`request_sent`](Self::request_sent) or
+    /// [`send_failed`](Self::send_failed), before a flow can be closed.
     #[inline]
     pub fn request(
         &mut self,
@@ -128,7 +131,8 @@ impl Core {
         verdict
     }
 
-    /// Judges what came from a server to an upstream socket; otherwise as [`request`](Self::request).
+    /// Judges what came from a server to an upstream socket, which the caller sends and reports with
+    /// [`response_sent`](Self::response_sent); otherwise as [`request`](Self::request).
     #[inline]
     pub fn response(
         &mut self,
@@ -156,12 +160,31 @@ impl Core {
         verdict
     }
 
-    /// Counts a datagram that the system took.
+    /// Counts a request that the system took. What it `asks` is due from here on: a node is silent
+    /// when it was asked and did not answer. To be called before anything else is judged.
     #[inline]
-    pub fn sent(&self, mapping: MappingId, direction: Direction, octets: usize) {
-        let node = self.counters.node(mapping).direction(direction);
-        node.forwarded.add(1);
-        node.forwarded_bytes.add(octets as u64);
+    pub fn request_sent(
+        &mut self,
+        now: Instant,
+        mapping: MappingId,
+        asks: Option<FlowId>,
+        octets: usize,
+    ) {
+        let now = self.nanos(now);
+        let node = self.counters.node(mapping);
+        node.direction(Direction::Request).forwarded(octets);
+        if let Some(id) = asks {
+            node.asked(now);
+            if let Some(flow) = self.flows.find_mut(id) {
+                flow.answers.asked(now);
+            }
+        }
+    }
+
+    /// Counts a response that the system took.
+    #[inline]
+    pub fn response_sent(&self, mapping: MappingId, octets: usize) {
+        self.counters.node(mapping).direction(Direction::Response).forwarded(octets);
     }
 
     /// Counts a datagram that the system refused.
@@ -290,7 +313,10 @@ impl Core {
         if open.is_none() && arrival.is_loop(shell) {
             return Err(DropReason::Loop);
         }
-        if open.is_none() && !net.allows(arrival.client.ip()) {
+        if open.is_none() && arrival.is_unanswerable() {
+            return Err(DropReason::Unanswerable);
+        }
+        if open.is_none() && !self.rules.table.allows(mapping.net, arrival.client.ip()) {
             return Err(DropReason::SourceNotAllowed);
         }
         if open.is_none() && !self.throttle.admits(now, arrival.client, arrival.mapping, shell) {
@@ -333,10 +359,6 @@ impl Core {
         let flow = self.flows.get_mut(id);
         flow.paid_until = paid_until;
         flow.credential = credential;
-        if request.confirmed {
-            flow.answers.asked(now);
-            self.counters.node(arrival.mapping).asked(now);
-        }
         flow.last_used = now;
         if let Some(index) = credential {
             let net = self.rules.table.net(mapping.net);
@@ -345,7 +367,8 @@ impl Core {
                 wire::replace_password(octets, device);
             }
         }
-        Ok(ToServer { via: flow.upstream, server: mapping.server })
+        let asks = request.confirmed.then_some(id);
+        Ok(ToServer { via: flow.upstream, server: mapping.server, asks })
     }
 
     /// The checks of a response, in their order.
@@ -396,6 +419,10 @@ impl Core {
         shell: &mut impl Shell,
     ) -> Result<FlowId, DropReason> {
         let mapping = self.rules.table.mapping(arrival.mapping);
+        if !shell.can_answer(arrival) {
+            self.rules.budget.give_request(mapping.net);
+            return Err(DropReason::Unanswerable);
+        }
         if !self.rules.budget.take(mapping.net) {
             self.rules.budget.give_request(mapping.net);
             return Err(DropReason::FlowLimit); // N-8
@@ -475,5 +502,24 @@ impl Arrival {
             public_address: self.public_address,
             listener: self.listener,
         }
+    }
+
+    /// Whether an answer could not even be sent: nothing listens on port 0, no host has such an
+    /// address, and what leaves from a link's address does not leave the link.
+    #[inline]
+    fn is_unanswerable(&self) -> bool {
+        let no_host = match self.client.ip().to_canonical() {
+            IpAddr::V4(client) => {
+                let [first, ..] = client.octets();
+                first == 0 || first >= 224 // this network; multicast, reserved, broadcast
+            }
+            IpAddr::V6(client) => {
+                let of_a_link = |address: IpAddr| matches!(address, IpAddr::V6(address) if address.is_unicast_link_local());
+                client.is_unspecified()
+                    || client.is_multicast()
+                    || of_a_link(self.public_address) && !of_a_link(client.into())
+            }
+        };
+        no_host || self.client.port() == 0
     }
 }

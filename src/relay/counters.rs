@@ -58,6 +58,13 @@ impl DirectionCounters {
         &self.dropped[reason as usize]
     }
 
+    /// Counts a datagram that was handed back.
+    #[inline]
+    pub(super) fn forwarded(&self, octets: usize) {
+        self.forwarded.add(1);
+        self.forwarded_bytes.add(octets as u64);
+    }
+
     /// All that was dropped, whatever the reason.
     pub fn dropped_total(&self) -> u64 {
         self.dropped.iter().map(Counter::get).sum()
@@ -72,9 +79,9 @@ pub struct NodeCounters {
     pub response_times: ResponseTimes,
     /// When the last response was forwarded, as nanoseconds since the router's start; 0: never.
     pub last_response: Counter,
-    /// When the last request that wants an answer was accepted, likewise.
+    /// When the last request that wants an answer was sent, likewise.
     pub last_request: Counter,
-    /// When the first such request after the last response was accepted; 0: none waits.
+    /// When the first such request after the last response was sent; 0: none waits.
     pub unanswered_since: Counter,
 }
 

@@ -60,6 +60,12 @@ impl Flows {
         &mut self.flows[id.key()]
     }
 
+    /// The same, when it may be closed by now.
+    #[inline]
+    pub(super) fn find_mut(&mut self, id: FlowId) -> Option<&mut Flow> {
+        self.flows.get_mut(id.key())
+    }
+
     pub(super) fn insert(&mut self, flow: Flow) -> FlowId {
         let id = FlowId::new(self.flows.insert(flow));
         let Self { flows, by_endpoints, by_server, hash } = self;

@@ -2,7 +2,7 @@
 
 /// Index of a flow.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub(super) struct FlowId(pub u32);
+pub struct FlowId(pub(super) u32);
 
 impl FlowId {
     /// The flow with this key. The budget counts flows in a `u32`, so every key fits.

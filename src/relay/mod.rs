@@ -2,6 +2,8 @@
 //!
 //! Time and randomness come in as arguments; there is no socket, no clock and no lock here.
 
+#[cfg(test)]
+mod attackers;
 mod budget;
 mod chance;
 mod check;
@@ -24,6 +26,7 @@ mod silence;
 #[cfg(test)]
 mod simulation;
 mod sketch;
+mod sources;
 mod table;
 mod throttle;
 mod throttled;
@@ -36,7 +39,7 @@ pub use chance::Chance;
 pub use core::{Arrival, Core, ToClient, ToServer};
 pub use counters::{Counter, Counters, DirectionCounters, NetCounters, NodeCounters};
 pub use flow::FlowRecord;
-pub use ids::{ListenerId, UpstreamId};
+pub use ids::{FlowId, ListenerId, UpstreamId};
 pub use rate::RequestRate;
 pub use reason::{CloseReason, Direction, DropReason};
 pub use reload::Succession;

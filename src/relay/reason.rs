@@ -56,7 +56,10 @@ pub enum DropReason {
     PasswordWrong,
     /// It comes from one of the relay's own upstream sockets: a server's address leads back here.
     Loop,
-    /// The client's address is in none of the net's allowed networks.
+    /// No answer could ever reach the sender: its port is 0, its address is no host's, or there is no
+    /// way to it.
+    Unanswerable,
+    /// The client's address is in none of the net's allowed networks, or in the plant.
     SourceNotAllowed,
     /// The sender, or its address, sent too many wrong passwords and is not listened to for a while.
     Throttled,
@@ -83,7 +86,7 @@ impl DropReason {
     pub const COUNT: usize = Self::VARIANTS.len();
 
     /// The reasons of requests, in the order of the checks.
-    pub const REQUEST: [Self; 18] = [
+    pub const REQUEST: [Self; 19] = [
         Self::NotUnicast,
         Self::TooShort,
         Self::TooLong,
@@ -93,6 +96,7 @@ impl DropReason {
         Self::BadLength,
         Self::PasswordMissing,
         Self::Loop,
+        Self::Unanswerable,
         Self::SourceNotAllowed,
         Self::Throttled,
         Self::PasswordWrong,
@@ -129,6 +133,7 @@ impl DropReason {
             Self::PasswordMissing => "password_missing",
             Self::PasswordWrong => "password_wrong",
             Self::Loop => "loop",
+            Self::Unanswerable => "unanswerable",
             Self::SourceNotAllowed => "source_not_allowed",
             Self::Throttled => "throttled",
             Self::NodeMismatch => "node_mismatch",
@@ -155,6 +160,7 @@ impl DropReason {
             Self::PasswordMissing => ("missing password", "missing passwords"),
             Self::PasswordWrong => ("wrong password", "wrong passwords"),
             Self::Loop => ("request in a loop", "requests in a loop"),
+            Self::Unanswerable => ("unanswerable request", "unanswerable requests"),
             Self::SourceNotAllowed => ("request not allowed", "requests not allowed"),
             Self::Throttled => ("throttled request", "throttled requests"),
             Self::NodeMismatch => ("wrong node address", "wrong node addresses"),
@@ -198,8 +204,11 @@ impl DropReason {
             Self::Loop => {
                 "It comes from one of the relay's own ports: a server's address leads back to the router. Correct that address, or the address translation on the way."
             }
+            Self::Unanswerable => {
+                "No answer could reach the sender: its port is 0, or its address is a broadcast's, or no route leads there from the public address. A forged source, or a route that is missing."
+            }
             Self::SourceNotAllowed => {
-                "The source address is in none of the net's `allow` networks. A client's address may have changed."
+                "The source address is in none of the net's `allow` networks, or it is in the plant, where `allow` has to name the plant's subnet. A client's address may have changed."
             }
             Self::Throttled => {
                 "The sender, or its address, sent too many wrong passwords; see `[limits]`. Correct the password and wait."

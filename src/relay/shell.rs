@@ -2,6 +2,7 @@
 
 use std::net::SocketAddr;
 
+use super::core::Arrival;
 use super::flow::FlowRecord;
 use super::ids::UpstreamId;
 use super::reason::CloseReason;
@@ -24,6 +25,11 @@ pub trait Shell {
     /// [have an upstream port](Self::has_upstream_port), when a flow is about to be opened.
     fn is_own_address(&mut self, _address: SocketAddr) -> bool {
         false
+    }
+    /// Whether the system could send an answer to this client: no where its address is a subnet's
+    /// broadcast, or no route leads there. Asked when a flow is about to be opened.
+    fn can_answer(&mut self, _arrival: &Arrival) -> bool {
+        true
     }
     /// A flow of this table was opened (N-10).
     fn flow_opened(&mut self, table: &Table, flow: &FlowRecord);

@@ -101,7 +101,7 @@ impl World {
     }
 
     fn answer(&mut self) -> Result<ToClient, DropReason> {
-        let ToServer { via, server } = self.asked;
+        let ToServer { via, server, .. } = self.asked;
         self.core.response(self.now, via, server, &mut self.octets)
     }
 }

@@ -174,7 +174,9 @@ struct World {
 /// One of the configurations that the operator changes between.
 fn table(rng: &mut Rng) -> Table {
     let wide = rng.u32(0..4) > 0;
-    let allow = vec![if wide { "198.51.100.0/24" } else { "198.51.100.0/30" }.parse().unwrap()];
+    let clients = if wide { "198.51.100.0/24" } else { "198.51.100.0/30" };
+    // Around the plant, without naming it.
+    let allow = vec![clients.parse().unwrap(), "172.16.0.0/12".parse().unwrap()];
     let credential = |name: &str, password: &[u8; 8], device: Option<&[u8; 8]>| Credential {
         name: name.into(),
         password: Password::new(*password),
@@ -344,7 +346,7 @@ impl World {
         let table = Arc::clone(&self.workers[worker].rules.table);
         let net = table.net(table.mapping(arrival.mapping).net);
         let octets = self.datagram(worker, &arrival, net.credentials[credential].password.octets());
-        let expect = if net.allows(arrival.client.ip()) {
+        let expect = if net.allow.iter().any(|network| network.contains(&arrival.client.ip())) {
             Expect::Pass
         } else {
             Expect::Drop(DropReason::SourceNotAllowed)
@@ -360,8 +362,7 @@ impl World {
         let password = *net.credentials[credential].password.octets();
         let mut octets = self.datagram(worker, &arrival, &password);
         let len = octets.len();
-        let mut arrival = arrival;
-        let reason = match self.rng.u32(0..13) {
+        let reason = match self.rng.u32(0..16) {
             0 => {
                 octets[len - 1] ^= 1 << self.rng.u32(0..8);
                 DropReason::PasswordWrong
@@ -421,9 +422,17 @@ impl World {
                 arrival.client = (address.unwrap(), port).into();
                 DropReason::Loop
             }
-            10 => {
+            12 => {
                 arrival.public_address = Ipv4Addr::UNSPECIFIED.into();
                 DropReason::NotUnicast
+            }
+            13 => {
+                arrival.client.set_port(0);
+                DropReason::Unanswerable
+            }
+            14 => {
+                arrival.client = "172.17.17.44:34379".parse().unwrap(); // a node's
+                DropReason::SourceNotAllowed
             }
             _ => {
                 octets = std::iter::repeat_with(|| self.rng.u8(..)).take(len).collect();
@@ -492,7 +501,7 @@ impl World {
                 assert_eq!(passed[..head], octets[..head], "R-8");
                 let at_server = net.credentials[credential].at_server().octets();
                 assert_eq!(&passed[head..], at_server);
-                let Worker { core, shell, .. } = &self.workers[worker];
+                let Worker { core, shell, .. } = &mut self.workers[worker];
                 let port = shell.ports[&to.via];
                 let key = (worker, port, to.server);
                 if let Some((client, last)) = self.users.insert(key, (arrival.client, self.now))
@@ -505,7 +514,7 @@ impl World {
                     core.send_failed(arrival.mapping, Direction::Request);
                     return;
                 }
-                core.sent(arrival.mapping, Direction::Request, passed.len());
+                core.request_sent(self.now, arrival.mapping, to.asks, passed.len());
                 self.forwarded += 1;
                 self.under_way.push(Asked {
                     worker,
@@ -620,7 +629,7 @@ impl World {
         note(&mut self.digest, &(via, server, verdict, &octets));
         match verdict {
             Ok(to) => {
-                core.sent(to.mapping, Direction::Response, octets.len());
+                core.response_sent(to.mapping, octets.len());
                 let used = (to.client, self.now);
                 self.users.insert((worker, shell.ports[&via], server), used);
             }

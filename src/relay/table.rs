@@ -4,6 +4,7 @@
 
 use std::collections::HashMap;
 use std::net::{IpAddr, SocketAddr};
+use std::sync::Arc;
 use std::time::Duration;
 
 use foldhash::fast::FixedState;
@@ -13,6 +14,7 @@ use subtle::ConditionallySelectable;
 use crate::wire::{Header, Password};
 
 use super::rate::RequestRate;
+use super::sources::Sources;
 
 /// Index of a net in its [`Table`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -41,7 +43,7 @@ pub struct Net {
     pub name: String,
     /// UDP Range net or single server.
     pub kind: NetKind,
-    /// Networks that clients may come from.
+    /// Networks that clients may come from; see [`Table::allows`].
     pub allow: Vec<IpNet>,
     /// Passwords that open the net; empty only with `allow_without_password`.
     pub credentials: Vec<Credential>,
@@ -60,13 +62,6 @@ pub struct Net {
 }
 
 impl Net {
-    /// Whether a client at this address may use the net. An IPv4 address that arrives mapped into
-    /// IPv6 is judged as IPv4.
-    pub fn allows(&self, source: IpAddr) -> bool {
-        let source = source.to_canonical();
-        self.allow.iter().any(|network| network.contains(&source))
-    }
-
     /// Index of the credential with this password. Every password of the net is compared, so that
     /// the time taken tells nothing about any of them.
     #[inline]
@@ -131,6 +126,7 @@ pub struct Table {
     pub header: Header,
     nets: Vec<Net>,
     mappings: Vec<Mapping>,
+    sources: Vec<Arc<Sources>>,
     /// Net by net.
     by_net: Vec<MappingId>,
     /// Only looked up in, by addresses that the operator has written.
@@ -144,7 +140,8 @@ impl Table {
         let mut by_net: Vec<_> = ids.clone().take(mappings.len()).collect();
         by_net.sort_by_key(|id| mappings[id.0 as usize].net.0);
         let by_server = mappings.iter().map(|mapping| mapping.server).zip(ids).collect();
-        Self { header, nets, mappings, by_net, by_server }
+        let sources = Sources::of(&nets, &mappings);
+        Self { header, nets, mappings, sources, by_net, by_server }
     }
 
     /// The nets, in the order of their [`NetId`].
@@ -178,6 +175,13 @@ impl Table {
     /// The net with this index.
     pub fn net(&self, id: NetId) -> &Net {
         &self.nets[usize::from(id.0)]
+    }
+
+    /// Whether a client at this address may use the net: a network of its `allow` holds the address,
+    /// and where that is in the plant, one that lies in the plant.
+    #[inline]
+    pub fn allows(&self, net: NetId, source: IpAddr) -> bool {
+        self.sources[usize::from(net.0)].contains(source)
     }
 
     /// The mapping with this index.

@@ -61,8 +61,9 @@ impl Transition {
         let mapping = self.mappings[flow.mapping.0 as usize];
         let here = !self.gone.contains(&flow.endpoints.listener);
         let mapping = mapping.filter(|_| here).ok_or(CloseReason::MappingRemoved)?;
-        let net = new.net(new.mapping(mapping).net);
-        if !net.allows(flow.endpoints.client.ip()) {
+        let id = new.mapping(mapping).net;
+        let net = new.net(id);
+        if !new.allows(id, flow.endpoints.client.ip()) {
             return Err(CloseReason::SourceWithdrawn);
         }
         let credential = match flow.credential {

@@ -287,6 +287,9 @@ fn a_server_that_cannot_be_sent_to() {
     client.send(press, &request(4));
     exchange(&client, site.public(4), &node, 4);
     relay.expect_drops(&[("request", "send_failed", 1)]);
+    // The press was not asked, so it is not silent.
+    let since = "pnet_nat_unanswered_since_timestamp_seconds";
+    assert_eq!(relay.metrics().sum(since, &[("net", "press")]), 0);
     let log = relay.finish();
     assert_eq!(log.logged("cannot send to a server").len(), 1, "{}", log.stderr());
 }

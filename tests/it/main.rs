@@ -19,6 +19,7 @@ mod fail2ban;
 mod failover;
 mod faults;
 mod floods;
+mod forged;
 mod harness;
 mod killed;
 mod kubernetes;

@@ -277,7 +277,7 @@ fn mapped_addresses_are_ipv4() {
     assert_eq!(config.admin.unwrap().listen, "127.0.0.1:9378".parse().unwrap());
     let press = config.table.mappings()[5];
     assert_eq!(press.server, "172.17.18.7:34379".parse().unwrap());
-    assert!(config.table.net(press.net).allows("198.51.100.7".parse().unwrap()));
+    assert!(config.table.allows(press.net, "198.51.100.7".parse().unwrap()));
     let link_local = changed("172.17.18.7:", "[fe80::7%2]:");
     assert!(read(&link_local).is_ok(), "with its zone");
 }

@@ -10,7 +10,8 @@ use libc::{c_void, mmsghdr, socklen_t};
 
 use super::*;
 
-const TAG: Tag = Tag { mapping: MappingId(0), direction: Direction::Response, octets: 0 };
+const TAG: Tag =
+    Tag { mapping: MappingId(0), direction: Direction::Response, octets: 0, asks: None };
 
 /// What comes to a receive.
 enum Arrival {

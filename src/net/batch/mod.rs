@@ -25,7 +25,7 @@ use std::slice;
 
 use nix::errno::Errno;
 
-use crate::relay::{Direction, MappingId};
+use crate::relay::{Direction, FlowId, MappingId};
 
 use super::address::{Control, Name};
 use calls::{Kernel, Linux};
@@ -98,6 +98,8 @@ pub(super) struct Tag {
     pub mapping: MappingId,
     pub direction: Direction,
     pub octets: usize,
+    /// See [`ToServer::asks`](crate::relay::ToServer::asks).
+    pub asks: Option<FlowId>,
 }
 
 impl Batch {

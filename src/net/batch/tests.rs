@@ -7,7 +7,8 @@ use std::time::Duration;
 use super::super::socket;
 use super::*;
 
-const TAG: Tag = Tag { mapping: MappingId(0), direction: Direction::Response, octets: 0 };
+const TAG: Tag =
+    Tag { mapping: MappingId(0), direction: Direction::Response, octets: 0, asks: None };
 
 fn receiver(address: &str) -> UdpSocket {
     let socket = UdpSocket::bind((address, 0)).unwrap();

@@ -5,14 +5,16 @@
 
 use std::fs::{self, File};
 use std::io::Write;
-use std::net::{IpAddr, Ipv4Addr, SocketAddr};
+use std::net::{IpAddr, Ipv4Addr, SocketAddr, SocketAddrV4};
 use std::panic;
 use std::process::{self, Command, Stdio};
 use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 use std::thread;
 
 use nix::sched::{CloneFlags, setns};
+use socket2::{Domain, Protocol, Socket, Type};
 
+use super::pcap::packet;
 use super::{Capture, Peer, Place, left_out};
 
 /// The edge's public addresses are the .1 and ::1 of the same networks.
@@ -93,7 +95,7 @@ impl Network {
             admin: (Ipv4Addr::LOCALHOST, 9378).into(),
             start_port: START_PORT,
             subnet: Ipv4Addr::new(172, 17, 17, 0),
-            allow: r#"["0.0.0.0/0", "::/0"]"#,
+            allow: r#"["0.0.0.0/0", "::/0", "172.17.17.0/24"]"#,
         }
     }
 
@@ -202,6 +204,16 @@ impl Namespace {
         let mut ip = Command::new("ip");
         ip.args(["netns", "exec", &self.name]).args(command);
         ip
+    }
+
+    /// Sends a UDP datagram under any address and port.
+    pub(crate) fn forge(&self, from: SocketAddrV4, to: SocketAddrV4, octets: &[u8]) {
+        let packet = packet(from, to, octets);
+        self.enter(|| {
+            let raw = Protocol::from(nix::libc::IPPROTO_RAW);
+            let socket = Socket::new(Domain::IPV4, Type::RAW, Some(raw)).unwrap();
+            assert_eq!(socket.send_to(&packet, &to.into()).unwrap(), packet.len());
+        });
     }
 
     pub(crate) fn peer(&self, address: SocketAddr) -> Peer {

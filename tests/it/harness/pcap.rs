@@ -1,5 +1,7 @@
 //! Captures written by hand: pcap, with a raw IPv4 packet for each UDP datagram.
 
+use std::net::{Ipv4Addr, SocketAddrV4};
+
 /// Link type of packets that begin with their IP header.
 const RAW: u32 = 101;
 
@@ -18,10 +20,17 @@ pub(crate) fn frame(packet: &[u8], captured: usize) -> Vec<u8> {
 
 /// A UDP datagram in an IPv4 packet, from 198.51.100.20:50000 to this port of 203.0.113.5.
 pub(crate) fn udp(port: u16, payload: &[u8]) -> Vec<u8> {
+    let ends = (Ipv4Addr::new(198, 51, 100, 20), Ipv4Addr::new(203, 0, 113, 5));
+    packet(SocketAddrV4::new(ends.0, 50000), SocketAddrV4::new(ends.1, port), payload)
+}
+
+/// A UDP datagram in an IPv4 packet.
+pub(crate) fn packet(from: SocketAddrV4, to: SocketAddrV4, payload: &[u8]) -> Vec<u8> {
     let length = 8 + payload.len() as u16;
-    let ip = [0x45, 0, 0, 0, 0, 0, 0, 0, 64, 17, 0, 0, 198, 51, 100, 20, 203, 0, 113, 5];
-    let udp = [50000, port, length, 0].map(u16::to_be_bytes);
-    let mut packet = [&ip, udp.as_flattened(), payload].concat();
+    let ip = [0x45, 0, 0, 0, 0, 0, 0, 0, 64, 17, 0, 0];
+    let udp = [from.port(), to.port(), length, 0].map(u16::to_be_bytes);
+    let addresses = [from.ip().octets(), to.ip().octets()];
+    let mut packet = [&ip, addresses.as_flattened(), udp.as_flattened(), payload].concat();
     packet[2..4].copy_from_slice(&(20 + length).to_be_bytes());
     packet
 }
