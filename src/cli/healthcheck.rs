@@ -6,6 +6,7 @@ use std::process::ExitCode;
 use std::time::Duration;
 
 use super::agent;
+use super::harmless::harmless;
 
 /// Ask a running relay whether it is ready: exit 0 when it is, else 1 and a line that says why.
 #[derive(Debug, clap::Args)]
@@ -36,7 +37,7 @@ pub(super) fn run(args: Args) -> anyhow::Result<ExitCode> {
     let why = match agent(args.timeout).get(&args.url).call() {
         Ok(answer) if answer.status() == 200 => return Ok(ExitCode::SUCCESS),
         Ok(answer) => format!("answered {}", answer.status()),
-        Err(error) => error.to_string(),
+        Err(error) => harmless(&error.to_string()),
     };
     // When nobody reads it, the exit code has to do.
     let _ = writeln!(stdout(), "not ready: {}: {why}", args.url);

@@ -4,11 +4,13 @@
 //! . It neither repeats a request nor divides one. Invariant: what it returns answers the
 //! request just sent, and no earlier one.
 
-use std::io;
+use std::io::{self, ErrorKind, IoSliceMut};
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
+use std::os::fd::AsRawFd;
 use std::time::{Duration, Instant};
 
 use arrayvec::ArrayVec;
+use nix::sys::socket::{MsgFlags, SockaddrStorage, recvmsg, setsockopt, sockopt};
 use tokio::net::UdpSocket;
 
 use crate::wire::{
@@ -114,6 +116,9 @@ pub enum ExchangeError {
         /// How long the client waited.
         waited: Duration,
     },
+    /// The network says that the request did not arrive, before the time is up.
+    #[error("{}", in_words(.0))]
+    Undelivered(io::Error),
     /// The elements make no P-NET-route.
     #[error("no route to the node: {0}")]
     Route(#[from] DlRouteError),
@@ -128,6 +133,21 @@ pub enum ExchangeError {
         /// What the system said.
         reason: io::Error,
     },
+}
+
+fn undelivered(error: io::Error) -> ExchangeError {
+    ExchangeError::Undelivered(error)
+}
+
+/// What an ICMP message, or the system itself, says of a request that did not arrive.
+fn in_words(error: &io::Error) -> String {
+    match error.kind() {
+        ErrorKind::ConnectionRefused => "nothing listens there".to_owned(),
+        ErrorKind::HostUnreachable => "the host there cannot be reached".to_owned(),
+        ErrorKind::NetworkUnreachable => "there is no way to that network".to_owned(),
+        ErrorKind::PermissionDenied => "a firewall forbids it".to_owned(),
+        _ => format!("it did not arrive: {error}"),
+    }
 }
 
 /// A client with its socket.
@@ -146,11 +166,17 @@ impl Client {
             IpAddr::V6(_) => Ipv6Addr::UNSPECIFIED.into(),
         };
         let socket = UdpSocket::bind((any, 0)).await?;
+        // Else a host or network that cannot be reached would be kept from us.
+        match any {
+            IpAddr::V4(_) => setsockopt(&socket, sockopt::Ipv4RecvErr, &true)?,
+            IpAddr::V6(_) => setsockopt(&socket, sockopt::Ipv6RecvErr, &true)?,
+        }
         Ok(Self { socket, target, endpoint: 0 })
     }
 
     /// Sends one request and waits for its answer; returns it with the time from the sending of the
-    /// one to the arrival of the other. Whatever else comes meanwhile is passed over.
+    /// one to the arrival of the other. Whatever else comes meanwhile is passed over. Fails at once
+    /// when the network says that the request did not arrive.
     pub async fn exchange(
         &mut self,
         request: &Request<'_>,
@@ -161,14 +187,32 @@ impl Client {
         let length = self.target.emit_request(request, self.endpoint, &mut octets)?;
         let to = self.target.socket_address(request.node_address);
         let failed = |reason| ExchangeError::Socket { to, reason };
+        // A connected socket is told when nothing listens there; the next request connects it anew.
+        self.socket.connect(to).await.map_err(undelivered)?;
+        self.forget_errors().map_err(failed)?;
 
         let sent = Instant::now();
-        self.socket.send_to(&octets[..length], to).await.map_err(failed)?;
+        self.socket.send(&octets[..length]).await.map_err(undelivered)?;
         let (answer, arrived) = tokio::time::timeout(wait, self.receive(to, request.node_address))
             .await
             .map_err(|_| ExchangeError::NoAnswer { waited: wait })?
-            .map_err(failed)?;
+            .map_err(undelivered)?;
         Ok((answer, arrived - sent))
+    }
+
+    /// What the network says of an earlier request is not of the next one. The kernel's list of such
+    /// messages takes room from answers.
+    fn forget_errors(&self) -> io::Result<()> {
+        let (mut octets, flags) =
+            ([0; MAX_DATAGRAM], MsgFlags::MSG_ERRQUEUE | MsgFlags::MSG_DONTWAIT);
+        loop {
+            let mut room = [IoSliceMut::new(&mut octets)];
+            let descriptor = self.socket.as_raw_fd();
+            if recvmsg::<SockaddrStorage>(descriptor, &mut room, None, flags).is_err() {
+                break;
+            }
+        }
+        self.socket.take_error().map(drop)
     }
 
     async fn receive(&self, from: SocketAddr, node_address: u8) -> io::Result<(Answer, Instant)> {
@@ -212,5 +256,24 @@ impl Target {
             control_status: response.control_status(),
             data_octets: response.data_octets().iter().copied().collect(),
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_the_network_says_is_told_in_words() {
+        for (number, words) in [
+            (libc::ECONNREFUSED, "nothing listens there"),
+            (libc::EHOSTUNREACH, "the host there cannot be reached"),
+            (libc::ENETUNREACH, "there is no way to that network"),
+            (libc::EACCES, "a firewall forbids it"),
+            (libc::EPERM, "a firewall forbids it"),
+        ] {
+            let error = undelivered(io::Error::from_raw_os_error(number));
+            assert_eq!(error.to_string(), words);
+        }
     }
 }

@@ -206,6 +206,30 @@ async fn a_wrong_password_gets_no_answer_and_the_client_says_so() {
     assert_eq!(error.to_string(), "no answer within 100ms");
 }
 
+/// Known at once, however long the client would wait; and the next request goes its own way.
+#[tokio::test]
+async fn a_client_is_told_where_nothing_listens() {
+    const FOR_EVER: Duration = Duration::from_secs(3600);
+    for address in ["127.17.8.4", "::1"] {
+        let address: std::net::IpAddr = address.parse().unwrap();
+        // A machine may be without IPv6.
+        let Ok(there) = UdpSocket::bind((address, 0)).await else { continue };
+        let port = there.local_addr().unwrap().port();
+        let mut client = Client::bind(Target::new(address, port - 4, None)).await.unwrap();
+        let ask = |node_address| Request { node_address, ..request(&[1, 2, 3]) };
+        for node_address in [5, 6, 5] {
+            // Nobody has these ports now; they may be lent to another test.
+            let error = client.exchange(&ask(node_address), FOR_EVER).await.unwrap_err();
+            assert_eq!(error.to_string(), "nothing listens there");
+        }
+        let silent = client.exchange(&ask(4), SHORT).await.unwrap_err();
+        assert!(matches!(silent, ExchangeError::NoAnswer { .. }), "{silent}");
+        drop(there);
+        let error = client.exchange(&ask(4), FOR_EVER).await.unwrap_err();
+        assert_eq!(error.to_string(), "nothing listens there");
+    }
+}
+
 /// Answers each request with the given responses to it, in their order.
 async fn forger(responses: fn(&[u8]) -> Vec<Vec<u8>>) -> Client {
     let socket = UdpSocket::bind("127.0.0.1:0").await.unwrap();

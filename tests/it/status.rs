@@ -292,6 +292,32 @@ fn what_is_no_relay_is_told_apart() {
     }
 }
 
+/// What a server answers that is no relay, or is one under somebody else's hand.
+#[test]
+fn nothing_that_a_server_answers_reaches_the_terminal_as_a_command() {
+    let site = Site::claim();
+    let listener = TcpListener::bind(site.admin()).unwrap();
+    let harmful = "\x1b]0;title\x07\u{9b}31m\u{202e}\r\nforged";
+    let json = serde_json::json!({ "nets": harmful, harmful: harmful }).to_string();
+    for (line, body) in [("503 No", harmful), ("200 OK", harmful), ("200 OK", json.as_str())] {
+        thread::scope(|scope| {
+            scope.spawn(|| {
+                let (mut stream, _) = listener.accept().unwrap();
+                let lines = BufReader::new(&stream).lines().map_while(Result::ok);
+                lines.take_while(|line| !line.is_empty()).for_each(drop);
+                let length = body.len();
+                write!(stream, "HTTP/1.1 {line}\r\ncontent-length: {length}\r\n\r\n{body}")
+                    .unwrap();
+                // The second question, where there is one, finds nobody.
+            });
+            let (code, stdout, error) = status(&site, &["--timeout", "1s"]);
+            assert_eq!((code, stdout.as_str()), (Some(1), ""));
+            let printed = error.strip_suffix('\n').unwrap();
+            assert!(!printed.contains(|c: char| c.is_control() || c == '\u{202e}'), "{printed:?}");
+        });
+    }
+}
+
 #[test]
 fn faults_say_what_to_do() {
     let site = Site::claim();

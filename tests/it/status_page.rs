@@ -173,6 +173,27 @@ fn response_times_have_no_more_digits_than_are_true() {
     assert_eq!(shown, json!([one, one, ["27 ms", "27 ms"], ["–", "–"]]));
 }
 
+/// A client whose requests are refused is no reason for a green page.
+#[test]
+fn refused_requests_are_seen_with_their_cause() {
+    let Some(browser) = Browser::start() else { return };
+    let site = Site::claim();
+    let relay = site.relay(Settings { net: "max_flows = 9", ..Settings::default() });
+    let other = Site::claim();
+    browser.look(1280, 2400, false, "light");
+    browser.open(&format!("http://{}/", site.admin()));
+    browser.expect("#banner.good", "No client has had an answer yet.");
+    for _ in 0..3 {
+        other.client().send(site.public(3), &request(3));
+    }
+    relay.expect_drops(&[("request", "source_not_allowed", 3)]);
+    browser.expect("#banner.doubtful", "3 requests refused: source_not_allowed");
+    browser.expect(&state_of(3), "3 requests refused: source_not_allowed");
+    browser.expect(&state_of(4), "never asked");
+    expect_no_accessibility_faults(&browser, "refused");
+    assert_eq!(browser.errors(), [""; 0]);
+}
+
 /// From the banner to a node among many, however its net stands.
 #[test]
 fn the_banner_leads_to_the_node_itself() {

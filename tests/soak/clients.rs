@@ -164,7 +164,7 @@ impl Tally {
                 assert_eq!(answer.data_octets[..], *data_octets, "an answer to another request");
                 self.answered.fetch_add(1, Relaxed);
             }
-            Err(ExchangeError::NoAnswer { .. }) => {
+            Err(ExchangeError::NoAnswer { .. } | ExchangeError::Undelivered(_)) => {
                 self.lost.lock().unwrap().push(sent..Instant::now());
             }
             Err(error) => panic!("{error}"),

@@ -223,6 +223,14 @@ function drops(...directions) {
   return sums;
 }
 
+/** Why requests were not passed on, most frequent first, in words; empty when all were. */
+function refusals(...requests) {
+  const reasons = Object.entries(drops(...requests)).sort(([, a], [, b]) => b - a);
+  const sum = total(Object.fromEntries(reasons));
+  const counted = sum === 1 ? "1 request" : `${whole.format(sum)} requests`;
+  return sum ? `${counted} refused: ${reasons.map(([reason]) => reason).join(", ")}` : "";
+}
+
 /** What the kernel dropped, by the names that `reasons` has for it. */
 const named = (place, causes) => ({
   dropped_datagrams: Object.fromEntries(
@@ -282,6 +290,13 @@ class NodeRow {
     const no_answer = asked === null ? "" : "no answer so far";
     write(this.since, answered === null ? no_answer : `last answer ${age(answered)} ago`);
     const dropped = drops(node.request, node.response);
+    const refused = node.state === "never_asked" ? refusals(node.request) : "";
+    if (refused) {
+      this.state.className = "refused";
+      write(this.mark, "▲");
+      write(this.word, "requests refused");
+      write(this.since, refused);
+    }
     const texts = [
       rate(this.traffic.requests),
       rate(this.traffic.answers),
@@ -519,7 +534,11 @@ function showBanner(status, states, lost) {
   }
   if (silent.length) lines.push(`▲ ${silent.length === 1 ? "1 node is" : `${nodes(silent.length)} are`} silent:`);
   const bad = lines.length > 0;
-  if (!bad) {
+  // Requests came, and no node has answered any: then it is no good sign that none is silent.
+  const refused = answering ? "" : refusals(...states.map((net) => net.request));
+  if (!bad && refused) {
+    lines.push(`▲ No client has had an answer yet: ${refused}. Below it says what that means.`);
+  } else if (!bad) {
     lines.push(answering ? `● ${answering === 1 ? "The one node" : `All ${nodes(answering)}`} that clients asked ${answering === 1 ? "answers" : "answer"}.`
       : "○ Relaying. No client has had an answer yet.");
   }
@@ -528,7 +547,7 @@ function showBanner(status, states, lost) {
   if (key === bannerKey) return;
   bannerKey = key;
   const banner = $("banner");
-  banner.className = bad ? "bad" : "good";
+  banner.className = bad ? "bad" : refused ? "doubtful" : "good";
   banner.replaceChildren(...lines.map((line) => make("p", {}, line)));
   if (!silent.length) return;
   const links = make("p");

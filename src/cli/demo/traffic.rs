@@ -94,7 +94,7 @@ impl Traffic {
                         *(if right { &mut polled.right } else { &mut polled.wrong }) += 1;
                         polled.round_trips += round_trip;
                     }
-                    Err(ExchangeError::NoAnswer { .. }) => {}
+                    Err(ExchangeError::NoAnswer { .. } | ExchangeError::Undelivered(_)) => {}
                     Err(error) => return Err(error.into()),
                 }
                 number = number.wrapping_add(1);

@@ -19,6 +19,7 @@ use terminal_size::{Height, Width, terminal_size_of};
 use ureq::Agent;
 
 use super::agent;
+use super::harmless::{harmless, harmless_json, harmless_value};
 use super::output::{Format, Paint};
 use super::signals::Signals;
 use crate::config::Token;
@@ -95,7 +96,7 @@ pub(super) fn run(args: Args) -> anyhow::Result<ExitCode> {
     let relay = Relay::new(&args)?;
     let Some(interval) = args.watch else {
         let text = match args.format {
-            Format::Json => format!("{}\n", relay.ask()?),
+            Format::Json => format!("{}\n", harmless_json(&relay.ask()?)),
             Format::Text => paper(args.full).draw(&relay.read(relay.ask()?)?, None, &relay.url),
         };
         stdout().write_all(text.as_bytes())?;
@@ -120,7 +121,7 @@ async fn watch(args: &Args, relay: Arc<Relay>, interval: Duration) -> anyhow::Re
             _ = signals.next() => return Ok(ExitCode::SUCCESS),
         };
         let text = match (answer, args.format) {
-            (Ok(answer), Format::Json) => format!("{answer}\n"),
+            (Ok(answer), Format::Json) => format!("{}\n", harmless_json(&answer)),
             (Ok(answer), Format::Text) => {
                 let seen = relay.read(answer)?;
                 let earlier = before.as_ref().map(|(then, seen)| (now - *then, seen));
@@ -128,8 +129,12 @@ async fn watch(args: &Args, relay: Arc<Relay>, interval: Duration) -> anyhow::Re
                 before = Some((now, seen));
                 text
             }
-            (Err(error), Format::Json) => format!("{}\n", json!({ "error": format!("{error:#}") })),
-            (Err(error), Format::Text) => format!("pnet-nat: {error:#}\n"),
+            (Err(error), Format::Json) => {
+                format!("{}\n", harmless_json(&json!({ "error": format!("{error:#}") })))
+            }
+            (Err(error), Format::Text) => {
+                format!("pnet-nat: {}\n", harmless(&format!("{error:#}")))
+            }
         };
         show(&text, args.format)?;
         tokio::select! {
@@ -200,7 +205,7 @@ impl Relay {
     }
 
     fn read(&self, answer: Value) -> anyhow::Result<Seen> {
-        Seen::read(answer, self.net.is_some())
+        Seen::read(harmless_value(answer), self.net.is_some())
     }
 
     fn get(&self, path: &str, net: Option<&str>) -> anyhow::Result<Map<String, Value>> {
@@ -226,7 +231,7 @@ impl Relay {
             (200, _) => serde_json::from_str(&text).with_context(|| not_the_api(&url)),
             (401, None) => bail!("{url} asks for a token: --token-file, as in [admin] token_file"),
             (401, Some(_)) => bail!("{url} has another token than the one of --token-file"),
-            (status, _) => bail!("{url} answered {status}: {}", text.trim_end()),
+            (status, _) => bail!("{url} answered {status}: {}", harmless(text.trim_end())),
         }
     }
 }

@@ -230,7 +230,7 @@ fn node_row(net: &Net, node: &Node, earlier: Earlier<'_>) -> [String; 10] {
     [
         net.name.clone(),
         node.node.to_string(),
-        node.state.replace('_', " "),
+        node_state(node),
         requests,
         answers,
         duration(node.traffic.response_time_median_seconds),
@@ -239,6 +239,15 @@ fn node_row(net: &Net, node: &Node, earlier: Earlier<'_>) -> [String; 10] {
         node.last_response_age_seconds.map_or("–".to_owned(), |seconds| age(seconds) + " ago"),
         node.server.clone(),
     ]
+}
+
+/// A node that nobody has reached since its requests are refused is not merely "never asked".
+fn node_state(node: &Node) -> String {
+    let refused: u64 = node.traffic.request.dropped_datagrams.values().sum();
+    if node.state == "never_asked" && refused > 0 {
+        return "refused".to_owned();
+    }
+    node.state.replace('_', " ")
 }
 
 /// Requests and answers that were passed on: how many, or how many a second since an earlier look.

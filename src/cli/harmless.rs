@@ -1,0 +1,103 @@
+//! Text from outside, made harmless before a terminal gets it: what another server answers may hold
+//! escape sequences, line breaks, or marks that turn the order of letters around.
+
+use std::fmt::Write;
+
+use serde_json::Value;
+
+/// Whether a character does something to a terminal, or to how the others are read.
+fn is_harmful(c: char) -> bool {
+    c.is_control()
+        || matches!(
+            c,
+            '\u{ad}'
+                | '\u{61c}'
+                | '\u{180e}'
+                | '\u{200b}'..='\u{200f}'
+                | '\u{2028}'..='\u{202e}'
+                | '\u{2060}'..='\u{206f}'
+                | '\u{feff}'
+                | '\u{fff9}'..='\u{fffb}'
+                | '\u{e0000}'..='\u{e007f}'
+        )
+}
+
+/// The text with each such character written out, as `\u{1b}`.
+pub(super) fn harmless(text: &str) -> String {
+    let mut harmless = String::with_capacity(text.len());
+    for c in text.chars() {
+        if is_harmful(c) {
+            harmless.extend(c.escape_unicode());
+        } else {
+            harmless.push(c);
+        }
+    }
+    harmless
+}
+
+/// The same of a text of several lines.
+pub(super) fn harmless_lines(text: &str) -> String {
+    text.split('\n').map(harmless).collect::<Vec<_>>().join("\n")
+}
+
+/// The same of all names and texts in a value.
+pub(super) fn harmless_value(value: Value) -> Value {
+    match value {
+        Value::String(text) => harmless(&text).into(),
+        Value::Array(list) => list.into_iter().map(harmless_value).collect(),
+        Value::Object(map) => {
+            map.into_iter().map(|(name, value)| (harmless(&name), harmless_value(value))).collect()
+        }
+        value => value,
+    }
+}
+
+/// JSON that says the same, with such characters in JSON's own writing.
+pub(super) fn harmless_json(value: &Value) -> String {
+    let mut harmless = String::new();
+    for c in value.to_string().chars() {
+        if is_harmful(c) {
+            for unit in c.encode_utf16(&mut [0; 2]) {
+                let _ = write!(harmless, "\\u{unit:04x}");
+            }
+        } else {
+            harmless.push(c);
+        }
+    }
+    harmless
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+
+    #[test]
+    fn nothing_harmful_is_left_and_the_rest_stays() {
+        for harmful in [
+            "\x1b[2J",
+            "\u{9b}2J",
+            "\r",
+            "\n",
+            "\x07",
+            "\x7f",
+            "\u{202e}",
+            "\u{2066}",
+            "\u{200f}",
+            "\u{feff}",
+            "\u{e0041}",
+        ] {
+            let text = format!("a{harmful}é 中");
+            let shown = harmless(&text);
+            assert!(!shown.chars().any(is_harmful), "{shown:?}");
+            assert!(shown.starts_with("a\\u{") && shown.ends_with("é 中"), "{shown:?}");
+            let value = json!({ &text: [&text, 7, null] });
+            let json = harmless_json(&value);
+            assert!(!json.chars().any(is_harmful), "{json:?}");
+            assert_eq!(serde_json::from_str::<Value>(&json).unwrap(), value);
+            assert_eq!(harmless_value(value), json!({ &shown: [&shown, 7, null] }));
+        }
+        assert_eq!(harmless_lines("one\ntwo\x1b[m\n"), "one\ntwo\\u{1b}[m\n");
+    }
+}
