@@ -135,8 +135,11 @@ pub(super) async fn flows(
 pub(super) struct FlowLists {
     asking: Arc<tokio::sync::Mutex<()>>,
     /// Oldest first.
-    kept: Arc<Mutex<VecDeque<Weak<Mutex<Option<FlowList>>>>>>,
+    kept: Arc<Mutex<VecDeque<Weak<KeptList>>>>,
 }
+
+/// None when it was cut.
+type KeptList = Mutex<Option<FlowList>>;
 
 type FlowList = Box<dyn Iterator<Item = serde_json::Result<String>> + Send>;
 

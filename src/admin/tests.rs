@@ -184,6 +184,7 @@ fn metrics_come_compressed_to_those_who_ask_for_it() {
 
 /// Whoever reads on gets all, however long it takes: here longer than anybody may stand still.
 #[test]
+#[expect(clippy::disallowed_methods, reason = "a reader's pace is a matter of time")]
 fn a_reader_that_is_slow_but_steady_gets_all() {
     let server = Server::start(large(4));
     let mut whole = Scraper::of(&server, "");
@@ -203,6 +204,7 @@ fn a_reader_that_is_slow_but_steady_gets_all() {
 }
 
 #[test]
+#[expect(clippy::disallowed_methods, reason = "a reader's pace is a matter of time")]
 fn a_reader_that_stands_still_is_cut_off() {
     let server = Server::start(large(4));
     let mut still = Scraper::of(&server, "");
