@@ -32,10 +32,12 @@ pub(super) struct NetDrops {
 /// Datagrams that the kernel dropped on sockets of ours.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct KernelDrops {
-    /// While no filter was on: a buffer was full, or memory short.
+    /// A buffer was full, or memory short: while no filter was on, or, while one was, when the buffer
+    /// was seen full.
     pub overflow: u64,
-    /// While a filter was on, the prefilter or the one against strays: refused by it, or a buffer was
-    /// full. The kernel tells one figure for both.
+    /// While a filter was on, the prefilter or the one against strays, and the buffer was not seen
+    /// full. The kernel tells one figure for what a filter refused and what found no room, so a
+    /// buffer that is full for less than a second may be missed here.
     pub prefilter: u64,
 }
 
@@ -72,9 +74,9 @@ impl FilteredSocket {
     pub(super) fn account(&self, drops: &NetDrops) -> Option<u32> {
         let mut seen = self.seen.lock().unwrap_or_else(PoisonError::into_inner);
         // A figure that cannot be read now is read the next time.
-        let now = socket::kernel_drops(&self.socket).ok()?;
+        let (now, full) = socket::kernel_drops(&self.socket).ok()?;
         let new = now.wrapping_sub(mem::replace(&mut *seen, now));
-        let counter = if self.is_filtered() { &drops.prefilter } else { &drops.overflow };
+        let counter = if self.is_filtered() && !full { &drops.prefilter } else { &drops.overflow };
         counter.fetch_add(new.into(), Relaxed);
         Some(now)
     }
@@ -99,5 +101,51 @@ impl KernelDrops {
     /// The figures with their causes, as metrics and the API name them.
     pub fn by_cause(self) -> [(&'static str, u64); 2] {
         [("overflow", self.overflow), ("prefilter", self.prefilter)]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::net::UdpSocket;
+
+    use libc::{BPF_JEQ, BPF_LD, BPF_LEN, BPF_W};
+
+    use super::super::bpf::To;
+    use super::*;
+
+    /// A socket whose filter refuses empty datagrams, and one that sends to it.
+    fn filtered(drops: &NetDrops) -> (FilteredSocket, UdpSocket) {
+        let inside = UdpSocket::bind("127.0.0.1:0").unwrap();
+        inside.set_nonblocking(true).unwrap();
+        let outside = UdpSocket::bind("127.0.0.1:0").unwrap();
+        outside.connect(inside.local_addr().unwrap()).unwrap();
+        let socket = FilteredSocket::new(inside.into());
+        socket.socket().set_recv_buffer_size(8192).unwrap();
+        let mut program = Program::new();
+        program.step(BPF_LD | BPF_W | BPF_LEN, 0);
+        program.compare(BPF_JEQ, 8, To::Refuse, To::Accept);
+        socket.filter(Some(&program), drops).unwrap();
+        (socket, outside)
+    }
+
+    #[test]
+    fn a_full_buffer_is_told_from_refusal_while_a_filter_is_on() {
+        let drops = NetDrops::default();
+        let (socket, outside) = filtered(&drops);
+        (0..500).for_each(|_| assert_eq!(outside.send(b"").unwrap(), 0));
+        socket.account(&drops).unwrap();
+        assert_eq!(drops.get(), KernelDrops { overflow: 0, prefilter: 500 });
+
+        (0..500).for_each(|_| assert_eq!(outside.send(&[1; 38]).unwrap(), 38));
+        socket.account(&drops).unwrap();
+        let KernelDrops { overflow, prefilter } = drops.get();
+        assert!((100..500).contains(&overflow), "{overflow}");
+        assert_eq!(prefilter, 500);
+
+        let mut octets = [std::mem::MaybeUninit::uninit(); 64];
+        while socket.socket().recv(&mut octets).is_ok() {}
+        outside.send(b"").unwrap();
+        socket.account(&drops).unwrap();
+        assert_eq!(drops.get(), KernelDrops { overflow, prefilter: 501 });
     }
 }

@@ -1,4 +1,4 @@
-//! When a public socket is flooded, and when it is over: then the prefilter goes on and off.
+//! When public sockets are flooded, and when it is over: then the prefilter goes on and off.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -10,80 +10,209 @@ use super::complaints::Complaints;
 use super::prefilter;
 use super::public::{Listener, Listeners};
 
+/// Filters turned on in one wake-up; the other sockets that are flooded have theirs in the next ones.
+const ON_AT_ONCE: usize = 8;
+/// Sockets looked at in one wake-up.
+const LOOKS_AT_ONCE: usize = 128;
+/// Of the sockets without a filter, every so many are looked at in a round: what is dropped there is
+/// accounted for long before its 32 bits come round.
+const ROUNDS: usize = 16;
+
 /// Turns the prefilter of one worker's public sockets on and off, where that is left to it.
+///
+/// A flood is told by what all sockets of a net see of it, or all of the worker, however it is
+/// spread over them. The filter goes on where it arrives.
 pub(super) struct FloodGuard {
     automatic: bool,
     /// Of each public socket, in its place.
-    watches: Vec<FloodWatch>,
+    sockets: Vec<Watched>,
+    /// Of each net.
+    nets: Vec<Flood>,
+    /// Of what is no flood of one net.
+    worker: Flood,
     /// Sockets on which the prefilter is on.
     filtered: usize,
+    /// Filters that may still be turned on in this wake-up.
+    may_turn_on: usize,
+    /// Where the round is that is under way.
+    next: Option<usize>,
+    round: usize,
+    /// Rounds until each socket has been looked at since the last datagram that was noted.
+    rounds_due: usize,
     table: Arc<Table>,
     started: Instant,
     complaints: Complaints,
 }
 
+/// A socket, as far as floods go.
+#[derive(Clone, Copy, Debug, Default)]
+struct Watched {
+    /// The kernel's figure at the last look.
+    dropped: u32,
+    /// Whose flood turned the filter on.
+    by: Option<Whose>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Whose {
+    Net,
+    Worker,
+}
+
+/// A flood, or none, of many sockets.
+#[derive(Debug, Default)]
+struct Flood {
+    watch: FloodWatch,
+    /// What the kernel dropped on the sockets that have a filter because of it.
+    dropped: u32,
+    /// Sockets that have one.
+    filtered: usize,
+    over: bool,
+}
+
 impl FloodGuard {
     pub(super) fn new(
         prefilter: Prefilter,
-        places: usize,
+        listeners: &Listeners,
         table: Arc<Table>,
         started: Instant,
     ) -> Self {
+        let filtered = listeners.iter().filter(|(_, public)| public.socket.is_filtered());
         Self {
             automatic: prefilter == Prefilter::Auto,
-            watches: (0..places).map(|_| FloodWatch::default()).collect(),
-            filtered: 0,
+            sockets: vec![Watched::default(); listeners.places()],
+            nets: table.nets().iter().map(|_| Flood::default()).collect(),
+            worker: Flood::default(),
+            filtered: filtered.count(),
+            may_turn_on: ON_AT_ONCE,
+            next: None,
+            round: 0,
+            rounds_due: 0,
             table,
             started,
             complaints: Complaints::default(),
         }
     }
 
-    /// Whether no socket needs a [`look`](Self::look).
+    /// Another wake-up.
+    #[inline]
+    pub(super) fn next_turn(&mut self) {
+        self.may_turn_on = ON_AT_ONCE;
+    }
+
+    /// Whether no socket needs to be looked at.
+    #[inline]
     pub(super) fn is_quiet(&self) -> bool {
-        self.filtered == 0
+        self.filtered == 0 && self.rounds_due == 0
+    }
+
+    /// Whether a round is under way, which [`look`](Self::look) goes on with.
+    #[inline]
+    pub(super) fn is_looking(&self) -> bool {
+        self.next.is_some()
     }
 
     /// Notes datagrams that the prefilter would have spared the worker, and turns it on where they
     /// are a flood.
     pub(super) fn note(&mut self, id: ListenerId, public: &Listener, now: Instant, spared: usize) {
-        let watch = &mut self.watches[id.0 as usize];
-        if !self.automatic
-            || public.socket.is_filtered()
-            || !watch.flooded(now.saturating_duration_since(self.started), spared)
-        {
+        self.rounds_due = ROUNDS;
+        if !self.automatic || public.socket.is_filtered() {
             return;
         }
+        let since_start = now.saturating_duration_since(self.started);
+        let net = &mut self.nets[usize::from(public.net.0)];
+        let by = if net.watch.flooded(since_start, spared, FloodWatch::FLOOD) {
+            Whose::Net
+        } else if self.worker.watch.flooded(since_start, spared, FloodWatch::FLOOD_OF_WORKER) {
+            Whose::Worker
+        } else {
+            return;
+        };
+        let Some(may_turn_on) = self.may_turn_on.checked_sub(1) else { return };
+        self.may_turn_on = may_turn_on;
         if let Err(error) = public.filter(true, &self.table) {
             return self.complaints.note(&error, "cannot turn the prefilter on");
         }
         self.filtered += 1;
-        if self.complaints.due(now, "flood") {
-            let net = &self.table.net(public.net).name;
-            let public_port = self.table.mapping(public.mapping).public_port;
-            tracing::warn!(%net, public_port, "flood: prefilter on");
+        self.sockets[id.0 as usize].by = Some(by);
+        let flood = if by == Whose::Net { net } else { &mut self.worker };
+        flood.filtered += 1;
+        flood.over = false;
+        if flood.filtered == 1 {
+            match by {
+                Whose::Net => {
+                    let net = &self.table.net(public.net).name;
+                    let public_port = self.table.mapping(public.mapping).public_port;
+                    tracing::warn!(%net, public_port, "flood: prefilter on");
+                }
+                Whose::Worker => tracing::warn!("flood of many nets: prefilter on"),
+            }
         }
     }
 
-    /// Turns the prefilter off where the flood is over. To be called about once a second.
-    pub(super) fn look(&mut self, listeners: &Listeners) {
-        if self.is_quiet() {
-            return;
+    /// Begins a round, unless one is under way. To be called about once a second.
+    pub(super) fn begin_round(&mut self) {
+        if self.next.is_none() && !self.is_quiet() {
+            self.next = Some(0);
         }
-        for (id, public) in listeners.iter().filter(|(_, public)| public.socket.is_filtered()) {
-            // Accounted for before its 32 bits come round. One that cannot be read is read at the
-            // next look.
+    }
+
+    /// Looks at some sockets of a round: accounts for what the kernel dropped there, and turns the
+    /// prefilter off where the flood is over.
+    pub(super) fn look(&mut self, listeners: &Listeners) {
+        let Some(first) = self.next else { return };
+        let end = self.sockets.len().min(first + LOOKS_AT_ONCE);
+        for place in first..end {
+            let Some(public) = listeners.get(ListenerId(place as u32)) else { continue };
+            let filtered = public.socket.is_filtered();
+            if !filtered && place % ROUNDS != self.round % ROUNDS {
+                continue;
+            }
+            // One that cannot be read is read in the next round.
             let Some(figure) = public.account() else { continue };
-            if !self.watches[id.0 as usize].over(figure) {
+            let watched = &mut self.sockets[place];
+            let new = figure.wrapping_sub(std::mem::replace(&mut watched.dropped, figure));
+            let flood = match watched.by {
+                Some(Whose::Net) => &mut self.nets[usize::from(public.net.0)],
+                Some(Whose::Worker) => &mut self.worker,
+                None => continue,
+            };
+            flood.dropped = flood.dropped.wrapping_add(new);
+            if !flood.over {
                 continue;
             }
             match public.filter(false, &self.table) {
-                Ok(()) => self.filtered -= 1,
+                Ok(()) => {
+                    watched.by = None;
+                    flood.filtered -= 1;
+                    self.filtered -= 1;
+                }
                 Err(error) => self.complaints.note(&error, "cannot turn the prefilter off"),
             }
         }
-        if self.is_quiet() {
-            tracing::info!("floods are over: prefilter off");
+        self.next = Some(end);
+        if end == self.sockets.len() {
+            self.end_round();
+        }
+    }
+
+    #[cold]
+    fn end_round(&mut self) {
+        self.next = None;
+        self.round += 1;
+        self.rounds_due = self.rounds_due.saturating_sub(1);
+        let nets = self.table.nets().iter().map(|net| Some(net.name.as_str()));
+        let floods = nets.zip(&mut self.nets).chain([(None, &mut self.worker)]);
+        for (net, flood) in floods {
+            if flood.over && flood.filtered == 0 {
+                flood.over = false;
+                match net {
+                    Some(net) => tracing::info!(net, "floods are over: prefilter off"),
+                    None => tracing::info!("flood of many nets is over: prefilter off"),
+                }
+            } else if flood.filtered > 0 && !flood.over {
+                flood.over = flood.watch.over(flood.dropped);
+            }
         }
     }
 
@@ -96,10 +225,13 @@ impl FloodGuard {
         before: &Listeners,
         after: &Listeners,
     ) {
-        self.watches.resize_with(after.places(), FloodWatch::default);
+        self.sockets.resize_with(after.places(), Watched::default);
+        self.nets = table.nets().iter().map(|_| Flood::default()).collect();
+        self.worker = Flood::default();
         for (id, public) in after.iter() {
+            let place = id.0 as usize;
             let Some(was) = before.get(id).filter(|_| after.keeps(id, before)) else {
-                self.watches[id.0 as usize] = FloodWatch::default();
+                self.sockets[place] = Watched::default();
                 continue;
             };
             let filtered = public.socket.is_filtered();
@@ -119,13 +251,27 @@ impl FloodGuard {
             }
         }
         self.automatic = prefilter == Prefilter::Auto;
-        let filtered = after.iter().filter(|(_, public)| public.socket.is_filtered());
-        self.filtered = if self.automatic { filtered.count() } else { 0 };
+        self.filtered = 0;
+        for (id, public) in after.iter() {
+            let watched = &mut self.sockets[id.0 as usize];
+            if !public.socket.is_filtered() {
+                watched.by = None;
+                continue;
+            }
+            self.filtered += 1;
+            watched.by = watched.by.filter(|_| self.automatic);
+            match watched.by {
+                Some(Whose::Net) => self.nets[usize::from(public.net.0)].filtered += 1,
+                Some(Whose::Worker) => self.worker.filtered += 1,
+                None => {}
+            }
+        }
+        self.next = None; // places may be others'
         self.table = table;
     }
 }
 
-/// Watches one socket for a flood, to tell when a filter in the kernel pays.
+/// Watches for a flood, to tell when a filter in the kernel pays.
 #[derive(Debug, Default)]
 pub(super) struct FloodWatch {
     /// Which tenth of a second it is, since the router's start.
@@ -139,20 +285,22 @@ pub(super) struct FloodWatch {
 
 impl FloodWatch {
     /// So many in a tenth of a second are a flood.
-    const FLOOD: usize = 100;
+    pub(super) const FLOOD: usize = 100;
+    /// And so many of one worker, where no net has that many.
+    const FLOOD_OF_WORKER: usize = 10 * Self::FLOOD;
     /// Fewer between two looks are quiet,
     const QUIET: u32 = 100;
     /// and so many quiet looks are peace. A worker looks about once a second.
     const QUIET_LOOKS: u32 = 10;
 
     /// Notes `spared` more datagrams, and tells whether a flood has begun.
-    pub(super) fn flooded(&mut self, since_start: Duration, spared: usize) -> bool {
+    pub(super) fn flooded(&mut self, since_start: Duration, spared: usize, flood: usize) -> bool {
         let window = since_start.as_millis() as u64 / 100;
         if window != self.window {
             (self.window, self.spared) = (window, 0);
         }
         self.spared += spared;
-        self.spared >= Self::FLOOD
+        self.spared >= flood
     }
 
     /// Takes the kernel's figure, and tells whether the flood is over.
@@ -176,9 +324,9 @@ mod tests {
         let mut watch = FloodWatch::default();
         let tenth = |n: u64| Duration::from_millis(100 * n);
         for n in 0..50 {
-            assert!(!watch.flooded(tenth(n), 99), "990 a second are none");
+            assert!(!watch.flooded(tenth(n), 99, FloodWatch::FLOOD), "990 a second are none");
         }
-        assert!(watch.flooded(tenth(49), 1));
+        assert!(watch.flooded(tenth(49), 1, FloodWatch::FLOOD));
         let mut dropped = u32::MAX - 50;
         let mut look = |new| {
             dropped = dropped.wrapping_add(new);
@@ -187,6 +335,6 @@ mod tests {
         assert!(!look(0), "what the kernel dropped before counts once");
         assert!((0..9).all(|_| !look(99)) && !look(100) && (0..9).all(|_| !look(0)));
         assert!(look(0));
-        assert!(!watch.flooded(tenth(49), 99));
+        assert!(!watch.flooded(tenth(49), 99, FloodWatch::FLOOD));
     }
 }

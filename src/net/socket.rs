@@ -24,6 +24,9 @@ use super::steer;
 /// and then the socket serves no other node either.
 const SEND_BUFFER: usize = 4 << 20;
 
+/// More octets than a datagram takes of a receive buffer, with the kernel's own bookkeeping.
+const A_DATAGRAM: u32 = 2304;
+
 /// Opens the public sockets of one address, one for each worker, in the workers' order. The kernel
 /// spreads clients over them; `steer` decides how.
 pub(super) fn public(
@@ -96,9 +99,10 @@ pub(super) fn receive_buffer(socket: &Socket) -> io::Result<usize> {
     Ok(socket.recv_buffer_size()? / 2)
 }
 
-/// Datagrams that the kernel dropped on a socket, since it was opened: its buffer was full, or
-/// memory short.
-pub(super) fn kernel_drops(socket: &Socket) -> io::Result<u32> {
+/// Datagrams that the kernel dropped on a socket, since it was opened: a filter refused them, its
+/// buffer was full, or memory short. And whether its buffer is full now: has no room for another
+/// datagram.
+pub(super) fn kernel_drops(socket: &Socket) -> io::Result<(u32, bool)> {
     let mut figures = [0_u32; libc::SK_MEMINFO_DROPS as usize + 1];
     let mut len = size_of_val(&figures) as libc::socklen_t;
     // SAFETY: the kernel writes at most `len` octets to `figures`, which is that long.
@@ -114,7 +118,10 @@ pub(super) fn kernel_drops(socket: &Socket) -> io::Result<u32> {
     if result < 0 {
         Err(io::Error::last_os_error())
     } else {
-        Ok(figures[libc::SK_MEMINFO_DROPS as usize])
+        let figure = |name: libc::c_int| figures[name as usize];
+        let room =
+            figure(libc::SK_MEMINFO_RCVBUF).saturating_sub(figure(libc::SK_MEMINFO_RMEM_ALLOC));
+        Ok((figure(libc::SK_MEMINFO_DROPS), room < A_DATAGRAM))
     }
 }
 

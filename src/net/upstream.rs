@@ -5,6 +5,7 @@
 
 use std::cell::LazyCell;
 use std::io;
+use std::mem;
 use std::net::SocketAddr;
 use std::os::fd::{AsFd, BorrowedFd};
 use std::sync::Arc;
@@ -40,6 +41,10 @@ pub(super) struct UpstreamSockets {
     receive_buffer: usize,
     /// Whether the kernel may refuse strays.
     filters: bool,
+    /// Of all sockets, however they are spread over them.
+    strays: FloodWatch,
+    /// What the kernel dropped while it refused strays.
+    dropped: u32,
     table: Arc<Table>,
     started: Instant,
     complaints: Complaints,
@@ -63,7 +68,8 @@ struct Upstream {
     /// Given back when the socket is closed.
     _port: Port,
     ipv4: bool,
-    strays: FloodWatch,
+    /// The kernel's figure at the last look.
+    dropped: u32,
 }
 
 impl UpstreamSockets {
@@ -85,6 +91,8 @@ impl UpstreamSockets {
             limit,
             receive_buffer: runtime.receive_buffer,
             filters: runtime.prefilter != Prefilter::Off,
+            strays: FloodWatch::default(),
+            dropped: 0,
             table,
             started,
             complaints: Complaints::default(),
@@ -135,7 +143,7 @@ impl UpstreamSockets {
         if !self.filters
             || !upstream.ipv4 // single servers alone, and few
             || upstream.socket.is_filtered()
-            || !upstream.strays.flooded(since_start, strays)
+            || !self.strays.flooded(since_start, strays, FloodWatch::FLOOD)
         {
             return;
         }
@@ -152,11 +160,20 @@ impl UpstreamSockets {
     /// Adds up what the kernel dropped since the last call, and lets everything through where a
     /// flood is over. To be called about once a second.
     pub(super) fn account(&mut self) {
-        for upstream in self.sockets.iter_mut().flatten() {
-            let Upstream { socket, strays, .. } = upstream;
-            if let Some(figure) = socket.account(&self.shared.drops)
-                && socket.is_filtered()
-                && strays.over(figure)
+        let mut refused = false;
+        for Upstream { socket, dropped, .. } in self.sockets.iter_mut().flatten() {
+            let Some(figure) = socket.account(&self.shared.drops) else { continue };
+            let new = figure.wrapping_sub(mem::replace(dropped, figure));
+            if socket.is_filtered() {
+                refused = true;
+                self.dropped = self.dropped.wrapping_add(new);
+            }
+        }
+        if !refused || !self.strays.over(self.dropped) {
+            return;
+        }
+        for Upstream { socket, .. } in self.sockets.iter().flatten() {
+            if socket.is_filtered()
                 && let Err(error) = socket.filter(None, &self.shared.drops)
             {
                 self.complaints.note(&error, "cannot let strays through");
@@ -180,12 +197,8 @@ impl UpstreamSockets {
             self.sockets.resize_with(index + 1, || None);
         }
         let number = port.number();
-        self.sockets[index] = Some(Upstream {
-            socket: FilteredSocket::new(socket),
-            _port: port,
-            ipv4,
-            strays: FloodWatch::default(),
-        });
+        self.sockets[index] =
+            Some(Upstream { socket: FilteredSocket::new(socket), _port: port, ipv4, dropped: 0 });
         self.open[usize::from(ipv4)] += 1;
         Ok(number)
     }

@@ -105,8 +105,8 @@ impl Worker {
     pub(super) fn new(parts: Parts) -> io::Result<Self> {
         parts.epoll.add(&*parts.wake, Place::Wake.arrivals())?;
         let ticker = Ticker::new(&parts.epoll)?;
-        let (prefilter, places) = (parts.runtime.prefilter, parts.listeners.places());
-        let floods = FloodGuard::new(prefilter, places, parts.table.clone(), parts.started);
+        let (prefilter, listeners) = (parts.runtime.prefilter, &parts.listeners);
+        let floods = FloodGuard::new(prefilter, listeners, parts.table.clone(), parts.started);
         let mut upstream = UpstreamSockets::new(
             Arc::clone(&parts.epoll),
             parts.shared,
@@ -149,6 +149,7 @@ impl Worker {
             };
             let now = Instant::now();
             self.helpings.next_turn();
+            self.floods.next_turn();
             for event in &events[..ready] {
                 self.take(Place::from_key(event.data()), now);
             }
@@ -165,8 +166,9 @@ impl Worker {
     }
 
     fn time_out(&self) -> EpollTimeout {
+        let at_once = self.busy.goes_on() || self.floods.is_looking();
         let wait = match self.drain_until {
-            _ if self.busy.goes_on() || self.expiring || self.reloading.is_some() => Duration::ZERO,
+            _ if at_once || self.expiring || self.reloading.is_some() => Duration::ZERO,
             Some(_) => DRAIN_TICK,
             None => return EpollTimeout::NONE,
         };
@@ -289,6 +291,9 @@ impl Worker {
     /// Does some of what concerns many flows, so that datagrams have their turns in between.
     #[inline]
     fn tidy(&mut self, now: Instant) {
+        if self.floods.is_looking() {
+            self.floods.look(&self.listeners);
+        }
         if self.expiring {
             self.expiring = self.core.expire(now, &mut self.upstream);
         }
@@ -307,7 +312,7 @@ impl Worker {
         self.ticker.read();
         self.expiring = true;
         self.upstream.account();
-        self.floods.look(&self.listeners);
+        self.floods.begin_round();
     }
 
     #[cold]

@@ -186,3 +186,41 @@ fn a_flood_of_strays_at_an_upstream_port_is_refused_by_the_kernel() {
     let log = relay.finish();
     assert_eq!(log.logged("flood of what no server sent: refused by the kernel").len(), 1);
 }
+
+/// Spread over many ports, none of which sees much of it.
+#[test]
+fn a_flood_over_many_ports_is_refused_too() {
+    let site = Site::claim();
+    let all = site.configuration(&Settings::default()).replace("[\"1-4\", 33]", "[\"1-125\"]");
+    let relay = Relay::start(&all, site.admin(), None);
+    let (client, node) = (site.client(), site.node(4));
+    let (stranger, wrong) = (site.client(), datagram(&FIGURE_10, &[1, 2, 3], WRONG));
+    let mut sent = 0;
+    let mut spread = || {
+        for node_address in 1..=125 {
+            stranger.send(site.public(node_address), &wrong);
+            sent += 1;
+        }
+    };
+    eventually("the kernel refuses most", || {
+        let refused = || relay.metrics().sum(KERNEL, &[("cause", "prefilter")]);
+        let before = refused();
+        (0..8).for_each(|_| spread());
+        (refused() - before > 900).then_some(())
+    });
+    exchange(&client, site.public(4), &node, 4);
+    assert_eq!(stranger.waiting(), None, "a stranger is answered");
+    let metrics = relay.metrics();
+    let counted = metrics.drops().values().sum::<u64>() + metrics.sum(KERNEL, &[]);
+    assert_eq!(counted, sent);
+
+    eventually("the prefilter is off", || {
+        relay.process.logged("floods are over: prefilter off").pop()
+    });
+    let refused = relay.metrics().sum(KERNEL, &[("cause", "prefilter")]);
+    (0..4).for_each(|_| stranger.send(site.public(1), &wrong));
+    exchange(&client, site.public(4), &node, 4);
+    assert_eq!(relay.metrics().sum(KERNEL, &[("cause", "prefilter")]), refused);
+    let log = relay.finish();
+    assert_eq!(log.logged("flood: prefilter on").len(), 1, "{}", log.stderr());
+}
