@@ -3,6 +3,7 @@
 //!
 //! Their datagrams are well-formed, so that nothing but the rule under test can refuse them.
 
+use std::collections::BTreeSet;
 use std::net::{IpAddr, SocketAddr, SocketAddrV6};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -47,6 +48,7 @@ impl Shell for Sockets {
 /// A relay with one net, and the time.
 struct World {
     core: Core,
+    rules: Rules,
     counters: Arc<Counters>,
     shell: Sockets,
     now: Instant,
@@ -103,8 +105,8 @@ impl World {
         let counters = Arc::new(Counters::new(&rules.table));
         let now = Instant::now();
         let random = Chance::from_seed(1);
-        let core = Core::new(rules, Arc::clone(&counters), now, random);
-        Self { core, counters, shell: Sockets::default(), now }
+        let core = Core::new(rules.clone(), Arc::clone(&counters), now, random);
+        Self { core, rules, counters, shell: Sockets::default(), now }
     }
 
     /// A request that nobody sends on yet.
@@ -131,6 +133,30 @@ impl World {
 
     fn sent(&mut self, to: ToServer) {
         self.core.request_sent(self.now, MappingId(0), to.asks, 24);
+    }
+
+    /// An answer of the node: what the client gets of it.
+    fn answer(&mut self, to: ToServer, password: &[u8; 8]) -> Result<Vec<u8>, DropReason> {
+        let mut octets = octets(password);
+        let back = self.core.response(self.now, to.via, to.server, &mut octets)?;
+        assert_eq!(back.client, CLIENT.parse().unwrap());
+        Ok(octets)
+    }
+
+    /// Goes over to other rules; those of its start, with a change.
+    fn reload(&mut self, change: impl FnOnce(&mut Net)) {
+        let next = rules(change);
+        let was = self.rules.clone();
+        let rules = was.followed_by(next.table, next.limits);
+        let counters = Arc::new(self.counters.followed_by(&was.table, &rules.table));
+        let transition = Arc::new(Transition::new(&was, &rules, BTreeSet::new()));
+        (self.rules, self.counters) = (rules.clone(), Arc::clone(&counters));
+        let succession = Succession { rules, counters, transition };
+        self.core.reload(self.now, succession, &mut self.shell);
+    }
+
+    fn expire(&mut self) {
+        while self.core.expire(self.now, &mut self.shell) {}
     }
 
     fn flows(&self) -> usize {
@@ -224,4 +250,106 @@ fn who_forges_a_nodes_address() {
     assert!(world.ask("172.17.17.200:50000", SERVICE).is_ok(), "N-4");
     let node = world.ask("172.17.17.44:34379", SERVICE);
     assert_eq!(node, Err(DropReason::SourceNotAllowed));
+}
+
+/// Whoever asks last, an answer under the password of an earlier request still comes through.
+#[test]
+fn who_holds_another_password_of_the_net() {
+    let mut world = World::new(|_| {});
+    let to = world.ask(CLIENT, SERVICE).unwrap();
+    world.sent(to);
+    // The forger sends under the client's address and port, before each of its answers.
+    for _ in 0..3 {
+        let forged = world.ask(CLIENT, OTHER).unwrap();
+        assert_eq!(forged, to, "on the client's own flow");
+        world.sent(forged);
+        assert_eq!(world.answer(to, SERVICE), Ok(octets(SERVICE)));
+        assert_eq!(world.answer(to, OTHER), Ok(octets(OTHER)));
+        assert_eq!(world.answer(to, WRONG), Err(DropReason::PasswordMismatch));
+    }
+}
+
+/// Passwords are exchanged while the flow is open: answers in any order, each under its own.
+#[test]
+fn a_client_that_changes_its_password_loses_no_answer() {
+    let device = |net: &mut Net, at: usize, password: &[u8; 8]| {
+        net.credentials[at].device_password = Some(Password::new(*password));
+    };
+    let mut world = World::new(|net| {
+        device(net, 0, b"device-1");
+        device(net, 1, b"device-2");
+    });
+    for password in [SERVICE, OTHER] {
+        let to = world.ask(CLIENT, password).unwrap();
+        world.sent(to);
+    }
+    let to = world.ask(CLIENT, OTHER).unwrap();
+    assert_eq!(world.answer(to, b"device-1"), Ok(octets(SERVICE)));
+    assert_eq!(world.answer(to, b"device-2"), Ok(octets(OTHER)));
+    // One password at the devices: the latest of the client's is its answer's.
+    let mut world = World::new(|net| (0..2).for_each(|at| device(net, at, b"device-1")));
+    for password in [OTHER, SERVICE] {
+        let to = world.ask(CLIENT, password).unwrap();
+        world.sent(to);
+        assert_eq!(world.answer(to, b"device-1"), Ok(octets(password)));
+    }
+}
+
+/// Of a flow that goes over to other rules, what is withdrawn opens nothing; the rest is kept.
+#[test]
+fn a_reload_keeps_what_is_left_of_a_flows_passwords() {
+    let mut world = World::new(|_| {});
+    world.ask(CLIENT, OTHER).unwrap();
+    let to = world.ask(CLIENT, SERVICE).unwrap();
+    world.reload(|net| net.credentials.reverse());
+    assert_eq!(world.answer(to, OTHER), Ok(octets(OTHER)));
+    world.reload(|net| drop(net.credentials.remove(1)));
+    assert_eq!(world.answer(to, SERVICE), Ok(octets(SERVICE)));
+    assert_eq!(world.answer(to, OTHER), Err(DropReason::PasswordMismatch));
+}
+
+/// He guesses under a client's address, from any port; the client opens new flows all the same.
+#[test]
+fn who_guesses_under_the_address_of_a_client() {
+    let mut world = World::new(|_| {});
+    let from = |port: u16| format!("198.51.100.7:{port}");
+    world.ask(&from(1000), SERVICE).unwrap();
+    let guess = |world: &mut World| {
+        (2000..2100)
+            .filter(|&port| world.ask(&from(port), WRONG) == Err(DropReason::PasswordWrong))
+            .count()
+    };
+    assert_eq!(guess(&mut world), 100, "and is not slowed");
+    assert!(world.ask(&from(1001), SERVICE).is_ok(), "a new flow of the client");
+    assert!(world.ask(&from(2000), SERVICE).is_ok(), "from a port that was guessed from");
+
+    // Nobody else is let off, nor is the client in a day.
+    let stranger = |port: u16| format!("198.51.100.8:{port}");
+    let guesses = (1..100)
+        .filter(|&port| world.ask(&stranger(port), WRONG) == Err(DropReason::PasswordWrong));
+    assert_eq!(guesses.count(), 6);
+    assert_eq!(world.ask(&stranger(200), SERVICE), Err(DropReason::Throttled));
+    world.now += Duration::from_secs(24 * 3600 + 120);
+    world.expire();
+    assert!(guess(&mut world) < 10, "forgotten");
+    assert_eq!(world.ask(&from(3000), SERVICE), Err(DropReason::Throttled));
+}
+
+/// A reload forgets the clients of a net of which a password is withdrawn, and no others.
+#[test]
+fn a_withdrawn_password_makes_nobody_known() {
+    for (withdrawn, known) in [(false, true), (true, false)] {
+        let mut world = World::new(|_| {});
+        world.ask(CLIENT, SERVICE).unwrap();
+        world.reload(|net| {
+            if withdrawn {
+                net.credentials.remove(0);
+            }
+        });
+        for port in 1..100 {
+            let _ = world.ask(&format!("198.51.100.7:{port}"), WRONG);
+        }
+        let asked = world.ask("198.51.100.7:200", OTHER);
+        assert_eq!(asked.is_ok(), known, "{asked:?}");
+    }
 }

@@ -35,6 +35,9 @@ const SOURCE_HASH: FixedState = FixedState::with_seed(0);
 /// have their turns in between. So few in tests that a handful of flows takes several.
 pub(super) const AT_ONCE: usize = if cfg!(test) { 2 } else { 256 };
 
+/// How often a client with an open flow is noted as known: often enough not to be forgotten.
+const NOTED_AGAIN: Nanos = 3_600_000_000_000;
+
 /// How a request arrived.
 #[derive(Clone, Copy, Debug)]
 pub struct Arrival {
@@ -319,7 +322,10 @@ impl Core {
         if open.is_none() && !self.rules.table.allows(mapping.net, arrival.client.ip()) {
             return Err(DropReason::SourceNotAllowed);
         }
-        if open.is_none() && !self.throttle.admits(now, arrival.client, arrival.mapping, shell) {
+        // Nor can they keep a client that was right of late from opening another flow.
+        let known = || self.rules.known.includes(mapping.net, arrival.client.ip(), now);
+        let (client, throttle) = (arrival.client, &mut self.throttle);
+        if open.is_none() && !throttle.admits(now, client, arrival.mapping, known, shell) {
             return Err(DropReason::Throttled);
         }
         let credential = match request.password {
@@ -358,7 +364,11 @@ impl Core {
         };
         let flow = self.flows.get_mut(id);
         flow.paid_until = paid_until;
-        flow.credential = credential;
+        flow.asked_with(credential);
+        if credential.is_some() && (flow.noted == 0 || now - flow.noted >= NOTED_AGAIN) {
+            flow.noted = now;
+            self.rules.known.note(mapping.net, arrival.client.ip(), now);
+        }
         flow.last_used = now;
         if let Some(index) = credential {
             let net = self.rules.table.net(mapping.net);
@@ -383,19 +393,20 @@ impl Core {
         let flow = self.flows.get_mut(id);
         let mapping = self.rules.table.mapping(flow.mapping);
         let net = self.rules.table.net(mapping.net);
-        let credential = flow.credential.map(|index| &net.credentials[usize::from(index)]);
-        match (password, credential) {
-            (Some(password), Some(credential)) => {
-                if !bool::from(credential.at_server().matches(&password)) {
-                    return Err(DropReason::PasswordMismatch); // A16
-                }
+        match password {
+            Some(password) => {
+                // A16; under the password of any request, for another one may have come since.
+                let credentials =
+                    flow.credentials().map(|index| &net.credentials[usize::from(index)]);
+                let credential = { credentials }
+                    .find(|credential| credential.at_server().matches(&password).into())
+                    .ok_or(DropReason::PasswordMismatch)?;
                 if credential.device_password.is_some() {
                     wire::replace_password(octets, &credential.password);
                 }
             }
-            (Some(_), None) => return Err(DropReason::PasswordMismatch),
-            (None, _) if net.require_response_password => return Err(DropReason::PasswordMismatch),
-            (None, _) => {}
+            None if net.require_response_password => return Err(DropReason::PasswordMismatch),
+            None => {}
         }
         flow.last_used = now; // N-3
         let node = self.counters.node(flow.mapping);
@@ -445,6 +456,8 @@ impl Core {
             upstream,
             upstream_port,
             credential,
+            earlier_credentials: Box::default(),
+            noted: 0,
             opened: now,
             last_used: now,
             answers: Answers::default(),

@@ -34,6 +34,10 @@ pub(super) struct Flow {
     pub upstream_port: u16,
     /// The credential of the latest request: its answer carries the same password.
     pub credential: Option<u16>,
+    /// Those of earlier requests, the latest first. Hardly ever there is one.
+    pub earlier_credentials: Box<[u16]>,
+    /// When the client was last noted as one that is known; 0: never.
+    pub noted: Nanos,
     pub opened: Nanos,
     /// The last datagram of either direction (RFC 4787 REQ-6).
     pub last_used: Nanos,
@@ -114,6 +118,34 @@ impl Answers {
 }
 
 impl Flow {
+    /// Notes the credential of a request. Answers to earlier ones, under others, may still come.
+    #[inline]
+    pub(super) fn asked_with(&mut self, credential: Option<u16>) {
+        if self.credential != credential {
+            self.change_credential(credential);
+        }
+    }
+
+    #[cold]
+    fn change_credential(&mut self, credential: Option<u16>) {
+        let Some(before) = std::mem::replace(&mut self.credential, credential) else { return };
+        let earlier = &mut self.earlier_credentials;
+        let place = |&other: &u16| other == before || Some(other) == credential;
+        match earlier.iter().position(place) {
+            Some(place) => {
+                earlier[..=place].rotate_right(1);
+                earlier[0] = before;
+            }
+            None => *earlier = [&[before], &**earlier].concat().into(),
+        }
+    }
+
+    /// The credentials that an answer may carry, that of the latest request first.
+    #[inline]
+    pub(super) fn credentials(&self) -> impl Iterator<Item = u16> {
+        self.credential.into_iter().chain(self.earlier_credentials.iter().copied())
+    }
+
     /// Whether an answer may still come.
     pub(super) fn awaits_answers(&self, now: Nanos) -> bool {
         self.answers.due() > 0 && now - self.last_used < LOST_AFTER

@@ -14,6 +14,7 @@ mod flows;
 #[cfg(test)]
 mod handover;
 mod ids;
+mod known;
 mod queue;
 mod rate;
 mod reason;

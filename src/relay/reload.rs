@@ -110,6 +110,10 @@ impl Core {
         let place = going_over.transition.place(flow, old, new)?;
         let was = old.net(old.mapping(flow.mapping).net).idle_timeout;
         let is = new.net(new.mapping(place.mapping).net).idle_timeout;
+        let net = old.mapping(flow.mapping).net;
+        let earlier = flow.earlier_credentials.iter();
+        let earlier = earlier.filter_map(|&index| going_over.transition.credential(net, index));
+        flow.earlier_credentials = earlier.collect();
         flow.mapping = place.mapping;
         flow.credential = place.credential;
         flow.era = self.era;

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use super::budget::Budget;
+use super::known::Known;
 use super::table::{Limits, Table};
 
 /// What every worker works from; replaced whole by a new configuration.
@@ -14,13 +15,16 @@ pub struct Rules {
     pub limits: Limits,
     /// Places for flows and requests of nets, shared by all workers.
     pub budget: Arc<Budget>,
+    /// Clients that were right of late, of all workers.
+    pub(super) known: Known,
 }
 
 impl Rules {
     /// Rules with all places for flows free and all requests untouched.
     pub fn new(table: Arc<Table>, limits: Limits) -> Self {
         let budget = Arc::new(Budget::new(&table, &limits));
-        Self { table, limits, budget }
+        let known = Known::new(&table);
+        Self { table, limits, budget, known }
     }
 
     /// Flows that may be open at once.
@@ -32,6 +36,7 @@ impl Rules {
     /// The rules that come after these: what nets have taken of flows and requests stays taken.
     pub fn followed_by(&self, table: Arc<Table>, limits: Limits) -> Self {
         let budget = Arc::new(self.budget.with_limits(&self.table, &table, &limits));
-        Self { table, limits, budget }
+        let known = self.known.followed_by(&self.table, &table);
+        Self { table, limits, budget, known }
     }
 }

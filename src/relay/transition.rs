@@ -51,6 +51,11 @@ impl Transition {
         Self { mappings: mappings.collect(), credentials: credentials.collect(), gone }
     }
 
+    /// What a credential of an old net is called now, if its passwords are still there.
+    pub(super) fn credential(&self, net: NetId, index: u16) -> Option<u16> {
+        self.credentials[usize::from(net.0)][usize::from(index)]
+    }
+
     /// Where a flow of the old table stands in the new one, or why it has to go.
     pub(super) fn place(
         &self,
@@ -70,8 +75,7 @@ impl Transition {
             None if net.allow_without_password => None,
             None => return Err(CloseReason::PasswordWithdrawn),
             Some(index) => {
-                let net = old.mapping(flow.mapping).net;
-                let is = self.credentials[usize::from(net.0)][usize::from(index)];
+                let is = self.credential(old.mapping(flow.mapping).net, index);
                 Some(is.ok_or(CloseReason::PasswordWithdrawn)?)
             }
         };
@@ -80,7 +84,7 @@ impl Transition {
 }
 
 /// Index of the credential with these passwords, the one of clients and the one of servers.
-fn same_credential(was: &Credential, net: &Net) -> Option<u16> {
+pub(super) fn same_credential(was: &Credential, net: &Net) -> Option<u16> {
     net.credential(was.password.octets()).filter(|&index| {
         let is = &net.credentials[usize::from(index)];
         bool::from(is.at_server().matches(was.at_server().octets()))

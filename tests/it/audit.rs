@@ -130,11 +130,13 @@ fn many_events_make_few_lines_and_all_are_counted() {
     let limits = "[limits]\nwrong_password_burst = 1\nwrong_password_interval = \"1h\"\n\
                   prefilter = \"off\"\naudit_lines = 10";
     let relay = site.relay(Settings { sections: limits, ..Settings::default() });
-    let (node, address) = (site.node(4), site.client().address().ip());
-    // All at once, or some would get a port that another one had.
-    let peers: Vec<_> = (0..2 * TIMES).map(|_| Peer::bind((address, 0).into())).collect();
-    let (clients, strangers) = peers.split_at(TIMES);
-    for (client, stranger) in clients.iter().zip(strangers) {
+    let node = site.node(4);
+    // Two addresses; all ports at once, or some would get one that another one had.
+    let [clients, strangers] = [site.client(), site.client()].map(|peer| {
+        let address = peer.address().ip();
+        (0..TIMES).map(|_| Peer::bind((address, 0).into())).collect::<Vec<_>>()
+    });
+    for (client, stranger) in clients.iter().zip(&strangers) {
         exchange(client, site.public(4), &node, 4);
         for _ in 0..3 {
             stranger.send(site.public(4), &datagram(&FIGURE_10, &[], WRONG));

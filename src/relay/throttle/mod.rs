@@ -91,13 +91,15 @@ impl Throttle {
         self.clamp_is_due = true;
     }
 
-    /// Whether a password that this sender sent to this public port is looked at.
+    /// Whether a password that this sender sent to this public port is looked at: always, where the
+    /// sender is known.
     #[inline]
     pub(super) fn admits(
         &mut self,
         now: Nanos,
         sender: SocketAddr,
         mapping: MappingId,
+        is_known: impl FnOnce() -> bool,
         shell: &mut impl Shell,
     ) -> bool {
         self.clamp_if_due(now);
@@ -111,6 +113,9 @@ impl Throttle {
             }
             (&mut self.senders, sender_key)
         };
+        if is_known() {
+            return true;
+        }
         if let Some(begun) = refusing.note_refusal(now, key, sender) {
             shell.throttling_begun(&begun, mapping);
         }
@@ -205,7 +210,10 @@ impl Buckets {
         let known = ways.iter().position(|offender| offender.key == key);
         let way = known.unwrap_or_else(|| lightest(ways));
         let owed = if known.is_some() { ways[way].forgiven_at.max(now) } else { now };
-        ways[way] = Offender { key, forgiven_at: owed.saturating_add(self.rate.interval) };
+        // Who is known is not refused, and still owes no more than anybody can.
+        let most = now.saturating_add(self.rate.most);
+        let forgiven_at = owed.saturating_add(self.rate.interval).min(most);
+        ways[way] = Offender { key, forgiven_at };
         let pushed_out = self.throttled[set(key)][way].take_if(|_| known.is_none())?;
         self.throttled_now -= 1;
         Some(pushed_out.told(self.scope, now))

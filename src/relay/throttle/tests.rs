@@ -48,7 +48,7 @@ impl Rig {
     }
 
     fn admits(&mut self, now: Nanos, sender: SocketAddr) -> bool {
-        self.throttle.admits(now, sender, MappingId(0), &mut self.told)
+        self.throttle.admits(now, sender, MappingId(0), || false, &mut self.told)
     }
 
     /// A request with a wrong password; tells whether the password was looked at.
