@@ -124,7 +124,8 @@ fn obey(orders: &mpsc::Receiver<Order>, path: &Path, router: &Router, is_stuck: 
         };
         match order {
             Order::Read(reply) => {
-                if reply.send(config::load(path)).is_err() {
+                let read = config::load_again(path, &router.in_force().config.table);
+                if reply.send(read).is_err() {
                     is_stuck.store(false, SeqCst);
                     warn!(
                         "a configuration is read at last, and dropped, for its reload was given up; reload again"

@@ -97,7 +97,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<ExitCode> {
 fn read(path: &Path, becomes_user: bool) -> Result<(Config, Vec<Warning>, Option<User>), ExitCode> {
     let text = told(config::read_text(path))?;
     let Some(name) = config::user(&text).filter(|_| becomes_user) else {
-        let (config, warnings) = told(config::parse(&text, path))?;
+        let (config, warnings) = load(path)?;
         return Ok((config, warnings, None));
     };
     let user = User::find(&name).map_err(refuse)?;

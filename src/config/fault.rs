@@ -33,6 +33,8 @@ pub struct Fault {
     pub remedy: String,
     /// The line itself, and below it a sign that points at the place; of a text that is no TOML.
     pub excerpt: Option<String>,
+    /// It may pass by itself, without an edit: an interface comes up.
+    pub passes: bool,
 }
 
 impl fmt::Display for Fault {
@@ -67,6 +69,13 @@ impl fmt::Display for Faults {
 }
 
 impl std::error::Error for Faults {}
+
+impl Faults {
+    /// Whether all of them may pass by themselves.
+    pub fn pass(&self) -> bool {
+        self.0.iter().all(|fault| fault.passes)
+    }
+}
 
 /// Something that the router can run with, but that is probably not meant.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -135,6 +144,11 @@ impl<'a> Report<'a> {
         self.faults.borrow_mut().note(self.found(place, problem, remedy), None);
     }
 
+    pub(super) fn fault_that_passes(&self, place: &Place, problem: String, remedy: String) {
+        let fault = Fault { passes: true, ..self.found(place, problem, remedy) };
+        self.faults.borrow_mut().note(fault, None);
+    }
+
     /// A key that the section has not. Where it belongs is known once all sections are read.
     pub(super) fn unknown_key(&self, place: &Place, unknown: Unknown, remedy: String) {
         let fault = self.found(place, "unknown key".into(), remedy);
@@ -177,7 +191,15 @@ impl<'a> Report<'a> {
 
     fn found(&self, place: &Place, problem: String, remedy: String) -> Fault {
         let (line, key) = (Some(place.line), place.key.clone());
-        Fault { file: self.file.to_owned(), line, key, problem, remedy, excerpt: None }
+        Fault {
+            file: self.file.to_owned(),
+            line,
+            key,
+            problem,
+            remedy,
+            excerpt: None,
+            passes: false,
+        }
     }
 }
 

@@ -10,6 +10,7 @@ mod excerpt;
 mod fault;
 mod file;
 mod guessable;
+mod host;
 mod model;
 mod net;
 mod node_range;
@@ -37,6 +38,7 @@ use crate::wire::Header;
 
 use fault::Report;
 use file::FileError;
+use host::{Host, ThisHost};
 use net::Draft;
 use section::{Entry, LONGEST, Section};
 
@@ -56,16 +58,22 @@ const MOST_OCTETS: u64 = 16 << 20;
 /// Unless it is set, an address may send as many wrong passwords as so many of its ports.
 const SENDERS_OF_AN_ADDRESS: u32 = 512;
 
-/// Reads a configuration file and the password files that it names.
+/// Reads a configuration file and the password files that it names, and asks this host about the
+/// servers.
 pub fn load(path: &Path) -> Result<(Config, Vec<Warning>), Faults> {
-    parse(&read_text(path)?, path)
+    parse_on(&read_text(path)?, path, &ThisHost, None)
+}
+
+/// The same for a relay that has this table in force: this host is asked about other servers alone.
+pub fn load_again(path: &Path, in_force: &Table) -> Result<(Config, Vec<Warning>), Faults> {
+    parse_on(&read_text(path)?, path, &ThisHost, Some(in_force))
 }
 
 /// The text of a configuration file.
 pub fn read_text(path: &Path) -> Result<String, Faults> {
     let unreadable = |line, problem, remedy: &str| {
         let (file, key, remedy) = (path.to_owned(), String::new(), remedy.to_owned());
-        Faults(vec![Fault { file, line, key, problem, remedy, excerpt: None }])
+        Faults(vec![Fault { file, line, key, problem, remedy, excerpt: None, passes: false }])
     };
     let cannot_be_read = |error: FileError| {
         let remedy = match error.is_absent() {
@@ -103,8 +111,18 @@ pub fn user(text: &str) -> Option<String> {
     user.as_str().map(str::to_owned).or_else(number)
 }
 
-/// Reads a configuration from text, as if it stood in the file `path`.
+/// Reads a configuration from text, as if it stood in the file `path`, on a host of which nothing is
+/// known.
 pub fn parse(text: &str, path: &Path) -> Result<(Config, Vec<Warning>), Faults> {
+    parse_on(text, path, &host::Unknown, None)
+}
+
+fn parse_on(
+    text: &str,
+    path: &Path,
+    host: &dyn Host,
+    in_force: Option<&Table>,
+) -> Result<(Config, Vec<Warning>), Faults> {
     let report = Report::new(path, text);
     let (document, errors) = DeTable::parse_recoverable(text);
     for error in errors {
@@ -114,13 +132,13 @@ pub fn parse(text: &str, path: &Path) -> Result<(Config, Vec<Warning>), Faults> 
         report.syntax_fault(offset, problem, remedy.into());
     }
     // Values of a text that is only half understood would be judged wrongly.
-    let root = || read(Section::root(document.get_ref(), &report));
+    let root = || read(Section::root(document.get_ref(), &report), host, in_force);
     let config = report.is_sound().then(root).flatten();
     report.verdict(config)
 }
 
 /// The configuration, unless a fault was noted.
-fn read(mut root: Section<'_>) -> Option<Config> {
+fn read(mut root: Section<'_>, host: &dyn Host, in_force: Option<&Table>) -> Option<Config> {
     let (place, report) = (root.place.clone(), root.report);
     let listeners = public(root.key("public", "").section());
     let header = protocol(root.key("protocol", "").section());
@@ -142,6 +160,7 @@ fn read(mut root: Section<'_>) -> Option<Config> {
     let listen: Vec<IpAddr> = listeners.iter().map(|(_, address)| *address).collect();
     overlap::refuse_overlaps(&drafts, &listen);
     overlap::warn_of_deaf_listeners(&drafts, &listeners);
+    host::check(&drafts, &listen, host, in_force);
     report.is_sound().then(|| {
         let table = Arc::new(table(header, drafts));
         let files = [vec![report.file.to_owned()], report.secrets.take()].concat();

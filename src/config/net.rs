@@ -47,6 +47,8 @@ pub(super) struct Draft<'a> {
     pub(super) public_ports: Claim<'a, u16>,
     pub(super) servers: Claim<'a, SocketAddr>,
     pub(super) allowed: Allowed<'a>,
+    /// The servers are reached by a gateway, maybe the one towards the Internet.
+    pub(super) servers_beyond_gateway: bool,
 }
 
 /// The first network of each family that a net's `allow` names.
@@ -89,6 +91,7 @@ pub(super) fn udp_range_net(mut section: Section<'_>) -> Draft<'_> {
     });
     let server_port = server_port.unwrap_or(SECURE_PORT);
     let kind = NetKind::UdpRange { start_port: start_port.unwrap_or_default() };
+    let beyond = section.key("servers_beyond_gateway", "true");
     let (net, allowed) = rules(&mut section, &name, kind);
     section.finish();
 
@@ -101,7 +104,8 @@ pub(super) fn udp_range_net(mut section: Section<'_>) -> Draft<'_> {
     let public_ports = Claim { entry: start_port_entry, values: public_ports.unwrap_or_default() };
     warn_of_privileged_ports(&public_ports);
     let servers = Claim { entry: subnet_entry, values: servers.unwrap_or_default() };
-    Draft { place, name, net, nodes, public_ports, servers, allowed }
+    let servers_beyond_gateway = beyond.boolean().unwrap_or(false);
+    Draft { place, name, net, nodes, public_ports, servers, allowed, servers_beyond_gateway }
 }
 
 /// A single server outside any range.
@@ -114,6 +118,7 @@ pub(super) fn server(mut section: Section<'_>) -> Draft<'_> {
     let address = endpoint(&address_entry);
     let node_entry = section.key("node", "7").required();
     let node = node_entry.integer(1..=LAST_NODE);
+    let beyond = section.key("servers_beyond_gateway", "true");
     let (net, allowed) = rules(&mut section, &name, NetKind::Server);
     section.finish();
 
@@ -127,7 +132,8 @@ pub(super) fn server(mut section: Section<'_>) -> Draft<'_> {
     warn_of_privileged_ports(&public_ports);
     let servers = Claim { entry: address_entry, values: address.into_iter().collect() };
     let nodes = node.into_iter().collect();
-    Draft { place, name, net, nodes, public_ports, servers, allowed }
+    let servers_beyond_gateway = beyond.boolean().unwrap_or(false);
+    Draft { place, name, net, nodes, public_ports, servers, allowed, servers_beyond_gateway }
 }
 
 /// The keys that ranges and single servers share.

@@ -109,6 +109,10 @@ impl<'a> Entry<'a> {
         self.report.fault(&self.place, problem.into(), remedy.into());
     }
 
+    pub(super) fn fault_that_passes(&self, problem: impl Into<String>, remedy: impl Into<String>) {
+        self.report.fault_that_passes(&self.place, problem.into(), remedy.into());
+    }
+
     pub(super) fn warn(&self, problem: impl Into<String>, remedy: impl Into<String>) {
         self.report.warn(&self.place, problem.into(), remedy.into());
     }

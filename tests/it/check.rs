@@ -1,8 +1,17 @@
 //! `pnet-nat check` as a user meets it: exit codes, and what goes to stdout and to stderr.
 
+use std::fs;
 use std::path::Path;
+use std::process::Command;
 
-use crate::harness::{ANNOTATED, Process, folder, pnet_nat};
+use nix::unistd::geteuid;
+
+use crate::harness::{ANNOTATED, Process, folder, left_out, pnet_nat};
+
+/// The annotated configuration with servers on loopback, which has no way to check.
+fn annotated() -> String {
+    ANNOTATED.replace("\"172.17.", "\"127.17.")
+}
 
 /// The command, where `folder` is the current one.
 fn check(folder: &Path, options: &[&str]) -> Process {
@@ -13,7 +22,7 @@ fn check(folder: &Path, options: &[&str]) -> Process {
 
 #[test]
 fn a_sound_configuration_shows_its_tables() {
-    let folder = folder(ANNOTATED);
+    let folder = folder(&annotated());
     let mut checked = check(folder.path(), &["--config", "pnet-nat.toml"]);
     assert_eq!(checked.end(), Some(0));
     assert_eq!(checked.stderr(), "");
@@ -22,12 +31,12 @@ fn a_sound_configuration_shows_its_tables() {
 
 #[test]
 fn full_shows_a_line_for_each_node() {
-    let folder = folder(ANNOTATED);
+    let folder = folder(&annotated());
     let mut checked = check(folder.path(), &["--config", "pnet-nat.toml", "--full"]);
     assert_eq!(checked.end(), Some(0));
     let stdout = checked.stdout();
     for node in [1, 2, 3, 4, 33] {
-        let server = format!("172.17.17.{node}:34379");
+        let server = format!("127.17.17.{node}:34379");
         let line = stdout.lines().find(|line| line.contains(&server)).unwrap();
         assert!(line.contains(&format!(" {} ", 40000 + node)), "{line}");
     }
@@ -35,7 +44,7 @@ fn full_shows_a_line_for_each_node() {
 
 #[test]
 fn warnings_do_not_refuse_and_rows_that_cannot_be_are_left_out() {
-    let configuration = ANNOTATED
+    let configuration = annotated()
         .replace("public_port = 40200", "public_port = 7")
         .replace("[\"0.0.0.0\"]", "[\"192.0.2.1\", \"2001:db8::1\"]")
         .replace("= \"5m\"", "= \"1m\"");
@@ -47,7 +56,7 @@ fn warnings_do_not_refuse_and_rows_that_cannot_be_are_left_out() {
 
 #[test]
 fn every_fault_is_shown_and_the_exit_code_is_2() {
-    let configuration = ANNOTATED
+    let configuration = annotated()
         .replace("start_port = 40000", "start_port = 40199")
         .replace("file = \"secrets/section-1\"", "file = \"secrets/absent\"")
         .replace("node = 7", "node = 126\nnodes = 5")
@@ -61,7 +70,7 @@ fn every_fault_is_shown_and_the_exit_code_is_2() {
 
 #[test]
 fn the_configuration_can_be_named_by_the_environment() {
-    let folder = folder(ANNOTATED);
+    let folder = folder(&annotated());
     let mut command = pnet_nat(&["check"]);
     command.current_dir(folder.path()).env("PNET_NAT_CONFIG", "pnet-nat.toml");
     assert_eq!(Process::start(command).end(), Some(0));
@@ -69,7 +78,7 @@ fn the_configuration_can_be_named_by_the_environment() {
 
 #[test]
 fn a_configuration_that_is_not_there_is_exit_code_2() {
-    let folder = folder(ANNOTATED);
+    let folder = folder(&annotated());
     let mut checked = check(folder.path(), &["--config", "absent.toml"]);
     assert_eq!(checked.end(), Some(2));
     let stderr = checked.stderr();
@@ -80,9 +89,37 @@ fn a_configuration_that_is_not_there_is_exit_code_2() {
 #[test]
 fn a_user_that_is_not_there_is_exit_code_2() {
     let folder =
-        folder(&ANNOTATED.replace("#user = \"pnet-nat\"", "user = \"nobody-of-this-name\""));
+        folder(&annotated().replace("#user = \"pnet-nat\"", "user = \"nobody-of-this-name\""));
     let mut checked = check(folder.path(), &["--config", "pnet-nat.toml"]);
     assert_eq!(checked.end(), Some(2));
     let stderr = checked.stderr();
     assert!(stderr.contains("\"nobody-of-this-name\"") && stderr.contains("useradd"), "{stderr}");
+}
+
+/// On a router, in a network of its own: one address on the Internet side, one in the plant.
+#[test]
+fn the_ways_to_the_servers_are_checked() {
+    if !geteuid().is_root() {
+        return left_out("root, for a network");
+    }
+    let folder = folder(ANNOTATED);
+    let checked = |subnet: &str| {
+        let configuration = ANNOTATED.replace("172.17.18.7", "172.17.17.7");
+        let configuration = configuration.replace("= \"172.17.17.0\"", &format!("= \"{subnet}\""));
+        fs::write(folder.path().join("pnet-nat.toml"), configuration).unwrap();
+        let mut command = Command::new("unshare");
+        let network = "ip link add up type dummy && ip link add plant type dummy && \
+                       ip link set up up && ip link set plant up && \
+                       ip address add 203.0.113.5/24 dev up && \
+                       ip address add 172.17.17.250/24 dev plant && \
+                       ip route add default via 203.0.113.1 && exec \"$0\" check --config pnet-nat.toml";
+        command.args(["--net", "sh", "-c", network, env!("CARGO_BIN_EXE_pnet-nat")]);
+        command.current_dir(folder.path());
+        let mut checked = Process::start(command);
+        (checked.end(), checked.stderr())
+    };
+    assert_eq!(checked("172.17.17.0"), (Some(0), String::new()));
+    let (code, stderr) = checked("172.71.17.0");
+    assert_eq!(code, Some(75), "{stderr}");
+    assert!(stderr.contains("the way to 172.71.17.1 leaves by the Internet side"), "{stderr}");
 }

@@ -4,6 +4,7 @@
 //! `faults`; that the annotated configuration tells the truth, in `reference`.
 
 mod faults;
+mod host;
 mod reference;
 mod size;
 

@@ -1,0 +1,137 @@
+//! What this host makes of the servers' addresses: whether one is its own, and which way datagrams to
+//! one would leave.
+//!
+//! A UDP socket that is connected sends nothing, yet has the source address that the kernel would
+//! use: the confinement leaves no other way to ask. Loopback is never asked for.
+
+use std::io;
+use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, UdpSocket};
+
+use crate::relay::Table;
+
+use super::net::Draft;
+
+/// Which address datagrams to another would come from.
+pub(super) trait Host {
+    /// None when nothing is known of the host.
+    fn source_towards(&self, to: SocketAddr) -> Option<io::Result<IpAddr>>;
+}
+
+/// The host that this process runs on.
+#[derive(Debug)]
+pub(super) struct ThisHost;
+
+impl Host for ThisHost {
+    fn source_towards(&self, to: SocketAddr) -> Option<io::Result<IpAddr>> {
+        let any: IpAddr = match to.ip() {
+            IpAddr::V4(_) => Ipv4Addr::UNSPECIFIED.into(),
+            IpAddr::V6(_) => Ipv6Addr::UNSPECIFIED.into(),
+        };
+        let source = || {
+            let socket = UdpSocket::bind((any, 0))?;
+            socket.connect(to)?;
+            Ok(socket.local_addr()?.ip())
+        };
+        Some(source())
+    }
+}
+
+/// A host of which nothing is known: a text is judged by itself.
+#[derive(Debug)]
+pub(super) struct Unknown;
+
+impl Host for Unknown {
+    fn source_towards(&self, _: SocketAddr) -> Option<io::Result<IpAddr>> {
+        None
+    }
+}
+
+/// Refuses servers that are the relay itself, and those that are reached by the Internet side; warns of
+/// those to which no interface leads. Servers of the table in force are left alone: what became of
+/// their way must not hold up a password that is withdrawn.
+pub(super) fn check(
+    drafts: &[Draft<'_>],
+    listen: &[IpAddr],
+    host: &dyn Host,
+    in_force: Option<&Table>,
+) {
+    let is_served = |server: &&SocketAddr| {
+        in_force.is_some_and(|table| table.mapping_of_server(**server).is_some())
+    };
+    let public_ports: std::collections::HashSet<u16> =
+        drafts.iter().flat_map(|draft| draft.public_ports.values.iter().copied()).collect();
+    for draft in drafts {
+        let mut new = draft.servers.values.iter().filter(|server| !is_served(server)).peekable();
+        // All servers of a net are in one subnet, and have one way.
+        let Some(first) = new.peek().copied().filter(|server| !server.ip().is_loopback()) else {
+            continue;
+        };
+        let is_own = |server: &&SocketAddr| {
+            let hears = |own: &IpAddr| own.is_unspecified() && own.is_ipv4() == server.is_ipv4();
+            public_ports.contains(&server.port())
+                && listen.iter().any(hears)
+                && matches!(host.source_towards(**server), Some(Ok(own)) if own == server.ip())
+        };
+        if let Some(own) = new.find(is_own) {
+            draft.servers.entry.fault(
+                format!("server {own} is this router itself, on a public port"),
+                "name the server itself, or datagrams go round in a loop",
+            );
+        } else {
+            check_way(draft, *first, listen, host);
+        }
+    }
+}
+
+fn check_way(draft: &Draft<'_>, server: SocketAddr, listen: &[IpAddr], host: &dyn Host) {
+    let entry = &draft.servers.entry;
+    let Some(source) = host.source_towards(server) else { return };
+    let Ok(source) = source else {
+        entry.warn(
+            format!("no route leads to {}", server.ip()),
+            "correct the address, or bring up the interface on the plant's side",
+        );
+        return;
+    };
+    if is_near(source, server.ip()) || draft.servers_beyond_gateway {
+        return;
+    }
+    if is_public(source, listen, host) {
+        entry.fault_that_passes(
+            format!("the way to {} leaves by the Internet side, from {source}", server.ip()),
+            "passwords would leave in clear: correct the address, or bring up the interface on the \
+             plant's side; where the servers are behind that gateway, set `servers_beyond_gateway = true`",
+        );
+    } else {
+        entry.warn(
+            format!("no interface of this host is in the subnet of {}: the way starts at {source}", server.ip()),
+            "correct the address, or set `servers_beyond_gateway = true` where a gateway leads there",
+        );
+    }
+}
+
+/// Whether the servers' subnet holds this address of the host, or it is the server's own.
+fn is_near(source: IpAddr, server: IpAddr) -> bool {
+    match (source, server) {
+        (IpAddr::V4(source), IpAddr::V4(server)) => source.octets()[..3] == server.octets()[..3],
+        (IpAddr::V6(source), IpAddr::V6(server)) => source.octets()[..8] == server.octets()[..8],
+        _ => false,
+    }
+}
+
+/// Whether clients reach this address of the host: it is listened on by name, or it is the one
+/// towards the Internet, for which addresses of documentation stand.
+fn is_public(source: IpAddr, listen: &[IpAddr], host: &dyn Host) -> bool {
+    if listen.contains(&source) {
+        return true;
+    }
+    let hears = |own: &IpAddr| own.is_unspecified() && own.is_ipv4() == source.is_ipv4();
+    let far: [IpAddr; 2] = match source {
+        IpAddr::V4(_) => [Ipv4Addr::new(192, 0, 2, 1).into(), Ipv4Addr::new(203, 0, 113, 1).into()],
+        IpAddr::V6(_) => {
+            [1, 2].map(|last| Ipv6Addr::new(0x2001, 0xdb8, 0, 0, 0, 0, 0, last).into())
+        }
+    };
+    let is_theirs = |far: IpAddr| matches!(host.source_towards((far, 9).into()), Some(Ok(theirs)) if theirs == source);
+    listen.iter().any(hears) && far.into_iter().all(is_theirs)
+}
