@@ -5,6 +5,7 @@ use std::fmt::Write;
 use std::fs::{self, Permissions};
 use std::net::UdpSocket;
 use std::os::unix::fs::PermissionsExt;
+use std::process::Command;
 use std::sync::Arc;
 
 use pnet_nat::config::{self, Config, Warning};
@@ -57,6 +58,35 @@ fn the_configuration_is_sound() {
     let (config, warnings) = read(configuration());
     assert_eq!(config.table.mappings().len(), 4);
     assert_eq!(warnings, []);
+}
+
+/// The steps for the package leave a configuration that needs no other password file than they make.
+#[test]
+fn the_steps_for_the_package_end_in_a_sound_configuration() {
+    let steps = include_str!("../deploy/systemd/README.md");
+    let commands = |text: &'static str| {
+        let lines = text.lines().filter(|line| line.contains("/etc/pnet-nat/"));
+        lines.filter(|line| line.starts_with("sed ") || line.starts_with("(umask"))
+    };
+    assert!(commands(README).eq(commands(steps)), "both pages have the same steps");
+    let folder = tempfile::tempdir().unwrap();
+    let configuration = folder.path().join("pnet-nat.toml");
+    fs::copy("config/pnet-nat.toml", &configuration).unwrap();
+    fs::create_dir(folder.path().join("secrets")).unwrap();
+    let mut made = 0;
+    for command in commands(README) {
+        let command = command.replace("/etc/pnet-nat", folder.path().to_str().unwrap());
+        assert!(Command::new("sh").args(["-c", &command]).status().unwrap().success(), "{command}");
+        made += 1;
+    }
+    assert_eq!(made, 2);
+    let text = fs::read_to_string(&configuration).unwrap();
+    let read = config::parse(&text, &configuration);
+    let (config, warnings) = read.unwrap_or_else(|faults| panic!("{faults}"));
+    assert_eq!((config.table.nets().len(), config.table.mappings().len()), (1, 5));
+    // One random password in 700 is of letters of one case, which is warned of.
+    assert!(warnings.iter().all(|warning| warning.0.problem.contains("guessed")), "{warnings:?}");
+    assert!(text.contains("[limits]") && text.contains("[admin]"), "the rest stays");
 }
 
 fn drop_reasons() -> String {

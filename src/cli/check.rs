@@ -1,19 +1,19 @@
 //! `pnet-nat check`: every fault of a configuration, or what the router would do with it.
 //!
-//! Opens no socket. Faults and warnings go to stderr, tables to stdout.
+//! Opens no socket of the relay. Faults and warnings go to stderr, tables to stdout.
 
 use std::io::{self, Write};
 use std::net::{IpAddr, SocketAddr};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use clap::builder::BoolishValueParser;
 use comfy_table::{Table, presets};
 
-use super::{BAD_USE, complain, load};
-use crate::config::Config;
+use super::{BAD_USE, complain, load, told};
+use crate::config::{self, Config, Warning};
 use crate::relay::{Mapping, Net, NetKind};
-use crate::sandbox::User;
+use crate::sandbox::{self, User, UserError};
 
 /// Find every fault of a configuration, or show the NAT table and the clients' IPNetTable rows.
 #[derive(Debug, clap::Args)]
@@ -30,19 +30,37 @@ pub(super) struct Args {
 /// Prints all faults and returns exit code 2, or prints the warnings, the NAT table and the
 /// clients' IPNetTable rows.
 pub(super) fn run(args: Args) -> anyhow::Result<ExitCode> {
-    let (config, warnings) = match load(&args.config) {
+    let (config, warnings) = match read(&args.config) {
         Ok(sound) => sound,
         Err(code) => return Ok(code),
     };
-    if let Some(Err(error)) = config.runtime.user.as_deref().map(User::find) {
-        complain(format_args!("pnet-nat: {error}"));
-        return Ok(ExitCode::from(BAD_USE));
-    }
     for warning in warnings {
         complain(format_args!("warning: {warning}"));
     }
     io::stdout().write_all(summary(&config, args.full).as_bytes())?;
     Ok(ExitCode::SUCCESS)
+}
+
+/// Reads it as the relay would: without root's power over other users' files, and with the rights of
+/// `[runtime] user`.
+fn read(path: &Path) -> Result<(Config, Vec<Warning>), ExitCode> {
+    let _prepared = sandbox::prepare();
+    let text = told(config::read_text(path))?;
+    let Some(name) = config::user(&text) else { return load(path) };
+    let bad_use = |error: UserError| {
+        complain(format_args!("pnet-nat: {error}"));
+        ExitCode::from(BAD_USE)
+    };
+    match User::find(&name).map_err(bad_use)?.act(|| load(path)) {
+        Ok(read) => read,
+        Err(UserError::NotRoot(user)) => {
+            complain(format_args!(
+                "warning: only root can find out whether {user:?} may read the files; check as root"
+            ));
+            load(path)
+        }
+        Err(error) => Err(bad_use(error)),
+    }
 }
 
 fn summary(config: &Config, full: bool) -> String {

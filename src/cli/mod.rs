@@ -138,8 +138,9 @@ fn load(path: &Path) -> Result<(Config, Vec<Warning>), ExitCode> {
 /// What was read, or what to exit with once all faults are told.
 fn told<T>(read: Result<T, Faults>) -> Result<T, ExitCode> {
     read.map_err(|faults| {
+        let code = if faults.pass() { TRY_AGAIN } else { BAD_USE };
         log::complain_of_faults(&faults);
-        ExitCode::from(BAD_USE)
+        ExitCode::from(code)
     })
 }
 

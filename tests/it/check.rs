@@ -1,6 +1,7 @@
 //! `pnet-nat check` as a user meets it: exit codes, and what goes to stdout and to stderr.
 
 use std::fs;
+use std::os::unix::fs::{PermissionsExt, chown};
 use std::path::Path;
 use std::process::Command;
 
@@ -108,9 +109,10 @@ fn the_ways_to_the_servers_are_checked() {
         let configuration = configuration.replace("= \"172.17.17.0\"", &format!("= \"{subnet}\""));
         fs::write(folder.path().join("pnet-nat.toml"), configuration).unwrap();
         let mut command = Command::new("unshare");
-        let network = "ip link add up type dummy && ip link add plant type dummy && \
-                       ip link set up up && ip link set plant up && \
-                       ip address add 203.0.113.5/24 dev up && \
+        let network = "ip link add wan type veth peer name w && ip link set w up && \
+                       ip link add plant type veth peer name p && ip link set p up && \
+                       ip link set wan up && ip link set plant up && \
+                       ip address add 203.0.113.5/24 dev wan && \
                        ip address add 172.17.17.250/24 dev plant && \
                        ip route add default via 203.0.113.1 && exec \"$0\" check --config pnet-nat.toml";
         command.args(["--net", "sh", "-c", network, env!("CARGO_BIN_EXE_pnet-nat")]);
@@ -122,4 +124,30 @@ fn the_ways_to_the_servers_are_checked() {
     let (code, stderr) = checked("172.71.17.0");
     assert_eq!(code, Some(75), "{stderr}");
     assert!(stderr.contains("the way to 172.71.17.1 leaves by the Internet side"), "{stderr}");
+}
+
+/// What the relay could not read with the rights of its user, `check` finds.
+#[test]
+fn files_are_read_with_the_rights_of_the_user() {
+    if !geteuid().is_root() {
+        return left_out("root, which becomes another user");
+    }
+    let folder = folder(&annotated().replace("#user = \"pnet-nat\"", "user = 65534"));
+    fs::set_permissions(folder.path(), fs::Permissions::from_mode(0o755)).unwrap();
+    let mut checked = check(folder.path(), &["--config", "pnet-nat.toml"]);
+    assert_eq!(checked.end(), Some(2), "{}", checked.stdout());
+    let stderr = checked.stderr();
+    assert!(stderr.contains("Permission denied") && stderr.contains("chown 65534"), "{stderr}");
+    for file in ["secrets", "secrets/section-1", "secrets/press"] {
+        chown(folder.path().join(file), Some(65534), Some(65534)).unwrap();
+    }
+    assert_eq!(check(folder.path(), &["--config", "pnet-nat.toml"]).end(), Some(0));
+
+    let mut other = Command::new("setpriv");
+    other.args(["--reuid=65533", "--regid=65533", "--clear-groups"]);
+    other.args([env!("CARGO_BIN_EXE_pnet-nat"), "check", "--config", "pnet-nat.toml"]);
+    other.current_dir(folder.path());
+    let mut other = Process::start(other);
+    assert_eq!(other.end(), Some(2));
+    assert!(other.stderr().contains("check as root"), "{}", other.stderr());
 }
