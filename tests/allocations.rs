@@ -137,7 +137,7 @@ fn a_dropped_request_costs_no_allocation() {
     let mut broadcast = ROUTE;
     broadcast[1] = 126;
     // In the order of the checks. Each is sent from a stranger first, where that makes a difference.
-    let cases: [(DropReason, SocketAddr, Vec<u8>); 14] = [
+    let cases: [(DropReason, SocketAddr, Vec<u8>); 15] = [
         (DropReason::TooShort, outside, vec![2, 0, 0, 0, 1]),
         (DropReason::TooLong, outside, vec![2; 108]),
         (DropReason::BadHeader, outside, [&[9, 9, 9, 9], &request(1)[4..]].concat()),
