@@ -336,6 +336,7 @@ fn nets_show_what_was_counted() {
             "max_requests_per_second": null, "max_flow_requests_per_second": null,
             "flows": 6, "flows_opened": 6, "flows_closed": {
                 "idle": 0, "mapping_removed": 0, "source_withdrawn": 0, "password_withdrawn": 0,
+                "port_wanted": 0,
                 "shutdown": 0,
             },
             "accepted_requests": { "service": 8, "team-b": 0 },

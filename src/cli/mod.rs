@@ -11,6 +11,7 @@ mod harmless;
 mod healthcheck;
 mod node;
 mod output;
+mod reload;
 mod request;
 mod run;
 mod signals;
@@ -75,6 +76,7 @@ enum Command {
     Request(request::Args),
     Decode(decode::Args),
     Status(status::Args),
+    Reload(reload::Args),
     Healthcheck(healthcheck::Args),
     Completions(documentation::Completions),
     Man(documentation::Man),
@@ -109,6 +111,7 @@ pub fn main() -> ExitCode {
         Command::Request(args) => request::run(args),
         Command::Decode(args) => decode::run(args),
         Command::Status(args) => status::run(args),
+        Command::Reload(args) => reload::run(&args),
         Command::Healthcheck(args) => healthcheck::run(args),
         Command::Completions(args) => documentation::completions(&args),
         Command::Man(args) => documentation::man(&args),

@@ -25,9 +25,9 @@ mod token;
 
 use std::collections::{HashMap, HashSet};
 use std::io::Read;
-use std::net::{IpAddr, SocketAddr};
+use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::num::NonZeroUsize;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -101,6 +101,9 @@ pub fn read_text(path: &Path) -> Result<String, Faults> {
     })
 }
 
+/// Where the admin server listens, unless the configuration says otherwise.
+const ADMIN_PORT: u16 = 9378;
+
 /// `[runtime] user` of a configuration's text, as far as it can be read: whose rights the rest is to be
 /// read with. What is wrong with it, [`parse`] tells.
 pub fn user(text: &str) -> Option<String> {
@@ -109,6 +112,40 @@ pub fn user(text: &str) -> Option<String> {
     let user = runtime.get("user")?.get_ref();
     let number = || Some(user.as_integer()?.as_str().to_owned());
     user.as_str().map(str::to_owned).or_else(number)
+}
+
+/// Where `[admin]` of a configuration's text has the admin server, as far as it can be read: for who
+/// asks a relay that runs, whatever else is wrong with the text.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct AdminPlace {
+    /// Whether there is one.
+    pub enabled: bool,
+    /// Where it listens.
+    pub listen: SocketAddr,
+    /// The file with its token, relative to the configuration.
+    pub token_file: Option<PathBuf>,
+}
+
+impl Default for AdminPlace {
+    fn default() -> Self {
+        let listen = (Ipv4Addr::LOCALHOST, ADMIN_PORT).into();
+        Self { enabled: true, listen, token_file: None }
+    }
+}
+
+/// See [`AdminPlace`].
+pub fn admin_place(text: &str) -> AdminPlace {
+    let usual = AdminPlace::default();
+    let (document, _) = DeTable::parse_recoverable(text);
+    let admin = document.get_ref().get("admin").and_then(|admin| admin.get_ref().as_table());
+    let value = |key: &str| Some(admin?.get(key)?.get_ref());
+    let text = |key: &str| value(key).and_then(|value| value.as_str());
+    let listen = text("listen").and_then(|listen| listen.parse().ok());
+    AdminPlace {
+        enabled: value("enabled").and_then(|enabled| enabled.as_bool()).unwrap_or(usual.enabled),
+        listen: listen.unwrap_or(usual.listen),
+        token_file: text("token_file").map(PathBuf::from),
+    }
 }
 
 /// Reads a configuration from text, as if it stood in the file `path`, on a host of which nothing is

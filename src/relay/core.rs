@@ -87,7 +87,7 @@ pub struct Core {
     /// The number of the last reload.
     pub(super) era: u32,
     pub(super) going_over: Option<GoingOver>,
-    upstreams: Upstreams,
+    pub(super) upstreams: Upstreams,
     pub(super) throttle: Throttle,
     start: Instant,
 }

@@ -252,6 +252,8 @@ pub enum CloseReason {
     SourceWithdrawn,
     /// A new configuration has the flow's password no more.
     PasswordWithdrawn,
+    /// A new configuration listens on the port that the flow's upstream socket had.
+    PortWanted,
     /// The router stopped.
     Shutdown,
 }
@@ -267,6 +269,7 @@ impl CloseReason {
             Self::MappingRemoved => "mapping_removed",
             Self::SourceWithdrawn => "source_withdrawn",
             Self::PasswordWithdrawn => "password_withdrawn",
+            Self::PortWanted => "port_wanted",
             Self::Shutdown => "shutdown",
         }
     }

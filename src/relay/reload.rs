@@ -62,6 +62,12 @@ impl Core {
             left: self.flows.len(),
             closed: 0,
         });
+        // A public socket comes before one of our own choice, which can be anywhere.
+        let mut wanted = vec![false; 1 << 16];
+        for mapping in self.rules.table.mappings() {
+            wanted[usize::from(mapping.public_port)] = true;
+        }
+        self.upstreams.give_up(|port| wanted[usize::from(port)], shell);
     }
 
     /// Has some more flows go over to the rules of the last [`reload`](Self::reload). Tells how many
@@ -108,6 +114,9 @@ impl Core {
         let (old, new) = (&*going_over.rules.table, &*self.rules.table);
         let flow = self.flows.get_mut(id);
         let place = going_over.transition.place(flow, old, new)?;
+        if self.upstreams.is_given_up(flow.upstream) {
+            return Err(CloseReason::PortWanted);
+        }
         let was = old.net(old.mapping(flow.mapping).net).idle_timeout;
         let is = new.net(new.mapping(place.mapping).net).idle_timeout;
         let net = old.mapping(flow.mapping).net;
@@ -146,6 +155,9 @@ impl Core {
         let record = flow.record(now);
         match &self.going_over {
             Some(before) if flow.era != self.era => {
+                if self.upstreams.is_given_up(flow.upstream) {
+                    return None;
+                }
                 let table = (&before.rules.table, &self.rules.table);
                 let place = before.transition.place(flow, table.0, table.1).ok()?;
                 let credential = place.credential.map(usize::from);

@@ -62,6 +62,8 @@ struct Socket {
     place: usize,
     /// Pairs in use or resting.
     pairs: u32,
+    /// It is closed, and its pairs do no more than rest: its port was wanted for something else.
+    given_up: bool,
 }
 
 /// A (socket, server) that is in use or rests.
@@ -113,12 +115,32 @@ impl Upstreams {
             .or_else(|| self.open(server, shell))
             .or_else(|| self.search(owner, server))?;
         let used = Pair { owner, state: PairState::Used };
-        let place = &mut self.sockets[socket.key()];
         if self.pairs.insert((socket, server), used).is_none() {
-            place.pairs += 1;
-            self.homes.entry(owner.home()).or_insert(Home { socket, pairs: 0 }).pairs += 1;
+            self.sockets[socket.key()].pairs += 1;
+            let home = self.homes.entry(owner.home()).or_insert(Home { socket, pairs: 0 });
+            home.pairs += 1;
+            if self.sockets.get(home.socket.key()).is_some_and(|socket| socket.given_up) {
+                home.socket = socket;
+            }
         }
-        Some((socket, place.port))
+        Some((socket, self.sockets[socket.key()].port))
+    }
+
+    /// Closes the sockets whose ports are wanted for something else, whatever they are used for.
+    pub(super) fn give_up(&mut self, is_wanted: impl Fn(u16) -> bool, shell: &mut impl Shell) {
+        let wanted = |id: &UpstreamId| is_wanted(self.sockets[id.key()].port);
+        let given_up: Vec<_> = self.open.iter().copied().filter(wanted).collect();
+        for id in given_up {
+            let socket = &mut self.sockets[id.key()];
+            socket.given_up = true;
+            let place = socket.place;
+            self.close(id, place, shell);
+        }
+    }
+
+    /// Whether a flow's socket was given up, so that the flow has to end.
+    pub(super) fn is_given_up(&self, socket: UpstreamId) -> bool {
+        self.sockets.get(socket.key()).is_some_and(|socket| socket.given_up)
     }
 
     /// Takes a flow's socket from it; the pair begins to rest.
@@ -147,7 +169,7 @@ impl Upstreams {
     }
 
     pub(super) fn is_empty(&self) -> bool {
-        self.open.is_empty()
+        self.sockets.is_empty()
     }
 
     /// Panics where the tables do not agree with each other.
@@ -155,12 +177,13 @@ impl Upstreams {
     pub(super) fn check_invariants(&self, flows: usize) {
         let used = |pair: &&Pair| matches!(pair.state, PairState::Used);
         assert_eq!(self.pairs.values().filter(used).count(), flows);
-        assert_eq!(self.open.len(), self.sockets.len());
+        let open = self.sockets.iter().filter(|(_, socket)| !socket.given_up).count();
+        assert_eq!(self.open.len(), open);
         for (key, socket) in &self.sockets {
             let pairs = self.pairs.keys().filter(|(id, _)| id.key() == key).count();
             assert_eq!(pairs, socket.pairs as usize);
             assert!(pairs > 0, "a socket that nothing needs is closed");
-            assert_eq!(self.open[socket.place].key(), key);
+            assert!(socket.given_up || self.open[socket.place].key() == key);
         }
         for (key, home) in &self.homes {
             let pairs = self.pairs.values().filter(|pair| pair.owner.home() == *key).count();
@@ -194,14 +217,16 @@ impl Upstreams {
         let socket = UpstreamId(u32::try_from(place.key()).ok()?);
         let port = shell.open_upstream(socket, server.is_ipv4())?;
         let (ipv4, at) = (server.is_ipv4(), self.open.len());
-        place.insert(Socket { ipv4, port, place: at, pairs: 0 });
+        place.insert(Socket { ipv4, port, place: at, pairs: 0, given_up: false });
         self.open.push(socket);
         Some(socket)
     }
 
     fn may_use(&self, socket: UpstreamId, owner: Owner, server: SocketAddr) -> bool {
         // A client's home may have been closed, while it still has pairs elsewhere.
-        self.sockets.get(socket.key()).is_some_and(|socket| socket.ipv4 == server.is_ipv4())
+        self.sockets
+            .get(socket.key())
+            .is_some_and(|socket| socket.ipv4 == server.is_ipv4() && !socket.given_up)
             && self.pairs.get(&(socket, server)).is_none_or(|pair| {
                 // A pair does not have to rest for whom it served.
                 pair.owner == owner && matches!(pair.state, PairState::RestsUntil(_))
@@ -221,13 +246,20 @@ impl Upstreams {
         let pairs = &mut self.sockets[socket.key()].pairs;
         *pairs -= 1;
         if *pairs == 0 {
-            let place = self.sockets.remove(socket.key()).place;
-            self.open.swap_remove(place);
-            if let Some(moved) = self.open.get(place) {
-                self.sockets[moved.key()].place = place;
+            let Socket { place, given_up, .. } = self.sockets.remove(socket.key());
+            if !given_up {
+                self.close(socket, place, shell);
             }
-            shell.close_upstream(socket);
         }
+    }
+
+    /// Closes a socket that has this place among those that are open.
+    fn close(&mut self, socket: UpstreamId, place: usize, shell: &mut impl Shell) {
+        self.open.swap_remove(place);
+        if let Some(moved) = self.open.get(place) {
+            self.sockets[moved.key()].place = place;
+        }
+        shell.close_upstream(socket);
     }
 }
 

@@ -3,7 +3,9 @@
 //! Needs root. The scenarios run at the edge; servers and clients are sockets in the plant and on
 //! the Internet, or processes there.
 
+use std::fs;
 use std::net::SocketAddr;
+use std::time::Duration;
 
 use nix::sys::signal::Signal;
 
@@ -23,6 +25,44 @@ fn start(network: &Network, listen: &str) -> Relay {
 fn start_with(network: &Network, listen: &str, sections: &str) -> Relay {
     let runtime = "workers = 2\ndrain = \"100ms\"";
     network.place(listen).relay(&Settings { runtime, sections, ..Settings::default() })
+}
+
+/// Two uplinks: with the rule that README.md has, an answer leaves by the uplink whose address was
+/// asked. The default route leads to a gateway that is not there, so nothing comes by that one.
+#[test]
+fn an_answer_leaves_by_the_uplink_of_its_request() {
+    let Some(network) = Network::build() else { return };
+    let (internet, edge) = (&network.internet, &network.edge);
+    internet.ip(&format!("link add wan1 type veth peer name wan1 netns {}", edge.name()));
+    internet.ip("link set wan1 up
+         address add 192.0.2.1/24 dev wan1
+         address add 100.64.0.7/32 dev lo");
+    edge.ip("link set wan1 up
+         address add 192.0.2.5/24 dev wan1
+         route add default via 198.51.100.99 dev eth0");
+    for listen in [r#"["198.51.100.1", "192.0.2.5"]"#, r#"["0.0.0.0"]"#] {
+        network.at_the_edge(|| {
+            for interface in ["all", "wan1"] {
+                let switch = format!("/proc/sys/net/ipv4/conf/{interface}/rp_filter");
+                fs::write(switch, "0").unwrap();
+            }
+            let relay = start(&network, listen);
+            let (client, node) = (network.client("100.64.0.7"), network.node(4));
+            let public = network.public("192.0.2.5", 4);
+            client.send(public, &request(4));
+            let from_relay = node.expect(&request(4));
+            node.send(from_relay, &response(4));
+            let lost = client.receive_within(Duration::from_millis(500));
+            assert_eq!(lost, None, "it left by the default route");
+
+            let commands = "route add default via 192.0.2.1 dev wan1 table 101
+                rule add from 192.0.2.5 lookup 101";
+            edge.ip(commands);
+            exchange(&client, public, &node, 4);
+            edge.ip("rule delete from 192.0.2.5 lookup 101\nroute flush table 101");
+            relay.finish();
+        });
+    }
 }
 
 /// R-8, R-10, R-11, N-5, RFC 4787 REQ-10: both sides captured and compared.

@@ -55,7 +55,7 @@ fn the_unit_leaves_little_exposed() {
 
     // What it does not know, or cannot find, it says.
     let verified = String::from_utf8(analyze(&["verify"]).unwrap().stderr).unwrap();
-    let expected = ["ignoring: notify-reload", "Command /usr/bin/pnet-nat is not executable"];
+    let expected = ["Command /usr/bin/pnet-nat is not executable"];
     let is_expected = |line: &&str| expected.iter().any(|expected| line.contains(expected));
     let complaints: Vec<_> = verified.lines().filter(|line| !is_expected(line)).collect();
     assert_eq!(complaints, [""; 0]);
@@ -201,7 +201,7 @@ fn confined(service: &Service) {
     assert!(service.metrics().sum("process_open_fds", &[]) > 5, "it can count what is its own");
 }
 
-/// A sound configuration comes into force; of one that is not, the relay does not even hear.
+/// A sound configuration comes into force; what does not makes the job fail.
 fn reloaded(service: &Service) {
     let Service(machine) = service;
     assert!(!service.answers("5"));
@@ -216,9 +216,17 @@ fn reloaded(service: &Service) {
     assert!(machine.journal().contains("1-500"), "the fault is in the journal");
     service.expect_state("active");
     assert!(service.answers("1-5"));
-    assert_eq!(service.logged("reload failed").len(), 0, "nothing was signalled");
+    assert_eq!(service.logged("reload failed").len(), 1, "the relay's own verdict");
     assert_eq!(service.logged("reload").len(), reloads);
     service.edit(r#"s/^nodes = .*/nodes = ["1-5"]/"#);
+
+    // What needs a restart fails the job, and says so.
+    service.edit("s/^#workers = .*/workers = 7/");
+    let reload = machine.output(&["systemctl", "reload", "pnet-nat"]);
+    assert!(!reload.status.success(), "{}", machine.journal());
+    assert!(machine.journal().contains("not in force: [runtime] workers"), "{}", machine.journal());
+    service.edit("s/^workers = 7/#workers = 2/");
+    machine.run(&["systemctl", "reload", "pnet-nat"]);
     eventually("the counters are at rest", || {
         service.metrics().breaches().is_empty().then_some(())
     });

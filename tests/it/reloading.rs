@@ -19,8 +19,9 @@ use serde_json::{Value, json};
 use tempfile::TempDir;
 
 use crate::harness::{
-    DEVICE, FIGURE_10, Over, PASSWORD, PATIENCE, Peer, Process, Relay, SECOND, Settings, Site,
-    close, datagram, eventually, exchange, folder, left_out, pnet_nat, request, response,
+    DEVICE, FIGURE_10, Network, Over, PASSWORD, PATIENCE, Peer, Place, Process, Relay, SECOND,
+    Settings, Site, close, datagram, eventually, exchange, folder, left_out, pnet_nat, request,
+    response,
 };
 
 const SUCCESSFUL: &str = "pnet_nat_config_last_reload_successful";
@@ -386,6 +387,100 @@ fn what_cannot_come_into_force_is_named_and_all_else_does() {
         assert_eq!(relay.metrics().sum(SUCCESSFUL, &[]), 1);
     }
     relay.finish();
+}
+
+/// `pnet-nat reload` tells the relay's own verdict, and its exit code is that.
+#[test]
+fn the_command_tells_the_verdict() {
+    let site = Site::claim();
+    let sound = site.configuration(&Settings::default());
+    let relay = Relay::start(&sound, site.admin(), None);
+    let pid = relay.process.id().to_string();
+    let file = relay.folder.path().join("pnet-nat.toml");
+    let file = file.to_str().unwrap();
+    let reload = |arguments: &[&str]| {
+        let mut command = Process::start(pnet_nat(&[&["reload"][..], arguments].concat()));
+        (command.end(), command.stdout(), command.stderr())
+    };
+    let by_signal = ["--pid", &pid, "--config", file];
+    let (code, stdout, stderr) = reload(&by_signal);
+    assert_eq!(code, Some(0), "{stdout}{stderr}");
+    assert_eq!(stdout, "all of the configuration is in force\n");
+
+    for (wrong, expected) in [
+        (sound.replace("\"1-4\", 33", "\"1-500\""), "1-500"),
+        (sound.replace("[public]", "[public"), "pnet-nat.toml:2"),
+        (sound.replace("workers = 1", "workers = 2"), "not in force: [runtime] workers"),
+    ] {
+        relay.configure(&wrong);
+        // What is wrong may be where the admin server's address would be read.
+        let url = format!("http://{}", site.admin());
+        let (code, stdout, stderr) = reload(&["--pid", &pid, "--url", &url]);
+        assert_eq!(code, Some(1), "{stdout}{stderr}");
+        assert!(stdout.contains(expected), "{stdout}{stderr}");
+    }
+
+    // Without a process, through the admin server, where that may.
+    relay.configure(&sound);
+    let (code, _, stderr) = reload(&["--config", file]);
+    assert!(code == Some(1) && stderr.contains("--pid"), "{stderr}");
+    relay.configure(&sound.replace("[admin]", "[admin]\nreload = true"));
+    assert_eq!(reload(&by_signal).0, Some(0));
+    let (code, stdout, stderr) = reload(&["--config", file]);
+    assert_eq!(code, Some(0), "{stdout}{stderr}");
+
+    // With the admin server switched off nobody tells; the signal is sent all the same.
+    relay.configure(&sound.replace("[admin]", "[admin]\nenabled = false"));
+    let before = relay.process.logged("reload").len();
+    let (code, _, stderr) = reload(&by_signal);
+    assert!(code == Some(1) && stderr.contains("the verdict cannot be had"), "{stderr}");
+    eventually("it has reloaded", || (relay.process.logged("reload").len() > before).then_some(()));
+    let (code, _, stderr) = reload(&["--pid", "999999999", "--config", file]);
+    assert!(code == Some(1) && stderr.contains("cannot be signalled"), "{stderr}");
+    relay.finish();
+}
+
+/// The relay's own ports towards the plant are all of those that a new net listens on: it gives them
+/// up. What is withdrawn by the same reload is withdrawn, and whoever had such a port goes on at once
+/// with another.
+#[test]
+fn a_new_net_on_ports_that_the_relay_has_itself() {
+    let Some(network) = Network::build() else { return };
+    network.at_the_edge(|| {
+        fs::write("/proc/sys/net/ipv4/ip_local_port_range", "40000 40249").unwrap();
+        for runtime in RUNTIMES {
+            let place = Place { start_port: 20000, ..network.place(r#"["198.51.100.1"]"#) };
+            let settings = Settings { runtime, ..Settings::default() };
+            let both = place.configuration(&Settings { passwords: FIRST_AND_SECOND, ..settings });
+            let one = both.replace(FIRST_AND_SECOND, FIRST);
+            let relay = Relay::start(&both, place.admin, None);
+            let (node, public) = (network.node(4), "198.51.100.1:20004".parse().unwrap());
+            let clients: Vec<_> = (0..100).map(|_| network.client("198.51.100.7")).collect();
+            let ports: BTreeSet<_> =
+                clients.iter().map(|client| exchange(client, public, &node, 4)).collect();
+            assert_eq!(ports.len(), 100);
+            let second = datagram(&FIGURE_10, &[], SECOND);
+            let goes = network.client("198.51.100.8");
+            goes.send(public, &second);
+            node.expect(&second);
+
+            let new = section("new", 40_000, "172.17.18.0").replace("1-20", "1-125");
+            let new = new.replace("127.0.0.0/8", "0.0.0.0/0");
+            let line = relay.reload_to(&(one.clone() + &new));
+            assert_eq!(line["not_in_force"], "", "{line}");
+            assert_eq!(line["credentials_withdrawn"], "section-1: second", "{line}");
+            let closed = relay.process.logged("flow closed");
+            let wanted = closed.iter().filter(|line| line["reason"] == "port_wanted").count();
+            assert!(wanted >= 20, "of 250 ports, 125 are listened on: {wanted} flows closed");
+            goes.send(public, &second);
+            for client in &clients[..20] {
+                let port = exchange(client, public, &node, 4);
+                assert!(!(40_001..=40_125).contains(&port), "{port}");
+            }
+            assert_eq!(node.waiting(), None, "the password is withdrawn");
+            relay.finish();
+        }
+    });
 }
 
 /// From one address to all of them and back: the old sockets are in the way of the new ones, and go.

@@ -506,7 +506,7 @@ function showRelay(status) {
   const on = sandbox.filter(({ state }) => state === "on").length;
   const facts = [
     ["Relaying", status.ready ? "yes" : "no: it starts or stops"],
-    ["Last reload", `${reload.successful ? "successful" : "failed"}; ${inForce}`],
+    ["Last reload", `${reload.successful ? "successful" : reload.error ? "failed" : "in force in part"}; ${inForce}`],
     ["Confinement", `${on} of ${sandbox.length} layers on: ${layers.join(", ")}`],
     ["Size", `${whole.format(status.public_ports)} public ports, ${whole.format(status.workers)} ${status.workers === 1 ? "worker" : "workers"}`],
     ["Stray answers",
@@ -529,8 +529,11 @@ function showBanner(status, states, lost) {
   if (lost) lines.push(`The relay has not answered since ${lost}. These are its last figures.`);
   if (!status.ready) lines.push("The relay is not relaying: it starts or stops.");
   if (!status.reload.successful) {
-    lines.push("The last reload failed, and the configuration before it is in force. " +
-      "pnet-nat check names every fault, and so does the log.");
+    const { error, faults, not_in_force: items } = status.reload;
+    if (error) {
+      lines.push(`The last reload failed, and the configuration before it is in force: ${error}`, ...faults);
+    }
+    lines.push(...items.map(({ what, why }) => `Not in force: ${what}: ${why}`));
   }
   if (silent.length) lines.push(`▲ ${silent.length === 1 ? "1 node is" : `${nodes(silent.length)} are`} silent:`);
   const bad = lines.length > 0;

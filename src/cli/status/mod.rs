@@ -240,7 +240,8 @@ fn not_the_api(url: &str) -> String {
     format!("{url} is not the API of a pnet-nat")
 }
 
-fn bearer(path: &Path) -> anyhow::Result<String> {
+/// The value of `Authorization` with the token in a file.
+pub(super) fn bearer(path: &Path) -> anyhow::Result<String> {
     let text = fs::read_to_string(path).with_context(|| format!("{path:?} cannot be read"))?;
     let token = text.trim_end_matches(['\n', '\r']);
     Token::new(token.as_bytes()).with_context(|| format!("{path:?}"))?;

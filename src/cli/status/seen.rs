@@ -38,6 +38,16 @@ pub(super) struct Status {
 pub(super) struct Reload {
     pub(super) successful: bool,
     pub(super) in_force_seconds: f64,
+    pub(super) error: Option<String>,
+    pub(super) faults: Vec<String>,
+    pub(super) not_in_force: Vec<NotInForce>,
+}
+
+/// Something of the configuration that is not in force.
+#[derive(Debug, Deserialize)]
+pub(super) struct NotInForce {
+    pub(super) what: String,
+    pub(super) why: String,
 }
 
 #[derive(Debug, Deserialize)]

@@ -7,7 +7,7 @@ use std::time::Duration;
 use comfy_table::{CellAlignment, ContentArrangement, Table, presets};
 
 use super::super::output::Paint;
-use super::seen::{Net, Node, Seen, Status, Traffic};
+use super::seen::{Net, Node, NotInForce, Reload, Seen, Status, Traffic};
 
 /// So many nodes are a list for a person.
 const MOST_NODES: u64 = 100;
@@ -67,12 +67,10 @@ impl Paper {
         if status.reload.successful {
             let _ = writeln!(text, "Last reload successful; this configuration is {in_force} old");
         } else {
-            let failed = format!(
-                "Last reload failed; the configuration in force is {in_force} old. \
-                 pnet-nat check names every fault."
-            );
-            text += &self.paint.red(&failed);
-            text.push('\n');
+            for line in not_successful(&status.reload, &in_force) {
+                text += &self.paint.red(&line);
+                text.push('\n');
+            }
         }
         let layers = status.sandbox.iter().map(|layer| {
             let why = layer.why.as_ref().map(|why| format!(" ({why})")).unwrap_or_default();
@@ -282,6 +280,22 @@ fn age(seconds: f64) -> String {
         Some((name, length)) => format!("{:.0} {name}", (seconds / length).floor()),
         None => format!("{seconds:.0} s"),
     }
+}
+
+/// What the last reload did not bring into force, a line for each.
+fn not_successful(reload: &Reload, in_force: &str) -> Vec<String> {
+    let mut lines = Vec::new();
+    if let Some(error) = &reload.error {
+        lines.push(format!(
+            "Last reload failed; the configuration in force is {in_force} old. The reason: {error}"
+        ));
+        lines.extend(reload.faults.iter().map(|fault| format!("  {fault}")));
+    } else {
+        lines.push(format!("Not all of this configuration is in force; it is {in_force} old."));
+    }
+    let item = |NotInForce { what, why }: &NotInForce| format!("  not in force: {what}: {why}");
+    lines.extend(reload.not_in_force.iter().map(item));
+    lines
 }
 
 #[cfg(test)]

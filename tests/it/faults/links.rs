@@ -1,8 +1,12 @@
 //! Addresses that go away and come back, and lines that lose, repeat and reorder datagrams.
 
+use std::net::IpAddr;
+use std::time::Duration;
+
 use super::Sections;
 use crate::harness::{
-    FIGURE_10, Network, PASSWORD, Peer, Settings, datagram, exchange, has_nft, request, response,
+    FIGURE_10, Network, PASSWORD, Peer, Settings, datagram, eventually, exchange, has_nft, request,
+    response,
 };
 
 /// The router gets another address in the plant, as by DHCP: flows go on from there.
@@ -59,12 +63,27 @@ fn a_public_address_that_goes_away_and_comes_back() {
                 relay.expect_drops(&[("response", "send_failed", lost)]);
 
                 network.edge.ip(&format!("address add {address}"));
+                reached_again(&network, client.address().ip(), public.ip());
                 assert_eq!(exchange(&client, public, &node, 4), port);
                 exchange(&other, others, &node, 4);
             }
             assert_eq!(relay.metrics().sum("pnet_nat_flows_opened_total", &[]), 4);
             relay.finish();
         }
+    });
+}
+
+/// Waits until both ends have found each other on the link: meanwhile the kernel may lose a datagram
+/// of whoever is in a hurry, and on a busy machine it does.
+fn reached_again(network: &Network, client: IpAddr, public: IpAddr) {
+    let there = network.edge.peer((public, 0).into());
+    let here = network.client(&client.to_string());
+    let pause = Duration::from_millis(100);
+    eventually("the address is reached", || {
+        here.send(there.address(), b"?");
+        let (_, from) = there.receive_within(pause)?;
+        there.send(from, b"!");
+        here.receive_within(pause)
     });
 }
 

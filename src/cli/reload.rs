@@ -1,0 +1,212 @@
+//! `pnet-nat reload`: has a running relay read its configuration again, and tells the relay's own
+//! verdict.
+
+use std::io::{Write, stdout};
+use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::thread;
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, anyhow, bail};
+use nix::sys::signal::{Signal, kill};
+use nix::unistd::Pid;
+use serde_json::Value;
+use ureq::Agent;
+
+use super::agent;
+use super::status::bearer;
+use crate::config;
+
+/// How long one answer may take. The reload itself may take longer.
+const ANSWER_TIME: Duration = Duration::from_secs(5);
+/// How often it is asked whether the reload is over.
+const PAUSE: Duration = Duration::from_millis(50);
+
+/// Have a running relay read its configuration again, and wait for its verdict.
+///
+/// With --pid it sends SIGHUP, else it asks the admin server, where [admin] reload = true allows it.
+/// The verdict comes from the admin server in both cases.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Example:  pnet-nat reload --pid $(pidof pnet-nat)\n\
+    Exit codes: 0 all of it is in force; 1 it is not, or nobody knows.")]
+pub(super) struct Args {
+    /// The process of the relay.
+    #[arg(long, value_name = "PID", env = "PNET_NAT_PID")]
+    pid: Option<i32>,
+
+    /// Where the relay's admin server is: host and port are those of [admin] listen.
+    #[arg(long, value_name = "URL", env = "PNET_NAT_STATUS_URL")]
+    url: Option<String>,
+
+    /// File with the token, where [admin] token_file is set.
+    #[arg(long, value_name = "FILE", env = "PNET_NAT_TOKEN_FILE")]
+    token_file: Option<PathBuf>,
+
+    /// The relay's configuration, whose [admin] says where the admin server is and what token it wants.
+    #[arg(long, value_name = "FILE", env = "PNET_NAT_CONFIG")]
+    config: Option<PathBuf>,
+
+    /// How long to wait for the verdict.
+    #[arg(
+        long,
+        env = "PNET_NAT_RELOAD_TIMEOUT",
+        value_name = "TIME",
+        default_value = "60s",
+        value_parser = humantime::parse_duration
+    )]
+    timeout: Duration,
+}
+
+/// Reloads once.
+pub(super) fn run(args: &Args) -> anyhow::Result<ExitCode> {
+    let relay = Relay::of(args);
+    let verdict = match args.pid {
+        Some(pid) => signal(pid, relay, args.timeout)?,
+        None => relay?.post(args.timeout)?,
+    };
+    // Text from outside does nothing to the terminal.
+    let harmless = |c: &char| *c == '\n' || !c.is_control();
+    let text: String = verdict.text.chars().filter(harmless).collect();
+    stdout().write_all(text.as_bytes())?;
+    Ok(if verdict.successful { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+}
+
+/// What came of a reload.
+struct Verdict {
+    successful: bool,
+    text: String,
+}
+
+/// Sends SIGHUP and waits until a reload is over that began afterwards.
+fn signal(pid: i32, relay: anyhow::Result<Relay>, time: Duration) -> anyhow::Result<Verdict> {
+    let before = relay.and_then(|relay| {
+        let begun = number(&relay.state()?, "begun")?;
+        Ok((relay, begun))
+    });
+    // What is withdrawn has to be withdrawn, whether or not somebody can tell.
+    kill(Pid::from_raw(pid), Signal::SIGHUP).with_context(|| {
+        format!("process {pid} cannot be signalled; is it the relay, and yours or are you root?")
+    })?;
+    let told = "the verdict cannot be had; SIGHUP was sent, see the log for what came of it";
+    let (relay, before) = before.context(told)?;
+    let end = Instant::now() + time;
+    while Instant::now() < end {
+        thread::sleep(PAUSE);
+        // While it takes over sockets it may be slow to answer.
+        let Ok(state) = relay.state() else { continue };
+        if number(&state, "number")? > before {
+            return Ok(Verdict::of(&state));
+        }
+    }
+    bail!("not over within {}: {told}", humantime::format_duration(time))
+}
+
+fn number(state: &Value, key: &str) -> anyhow::Result<u64> {
+    state[key].as_u64().context("this relay does not number its reloads; is it an older one?")
+}
+
+impl Verdict {
+    fn of(state: &Value) -> Self {
+        let mut text = String::new();
+        if let Some(error) = state["error"].as_str() {
+            text += &format!("reload failed, and the configuration before it stays: {error}\n");
+        }
+        for fault in state["faults"].as_array().into_iter().flatten() {
+            text += &format!("{}\n", fault.as_str().unwrap_or_default());
+        }
+        text += &items(state);
+        let successful = state["successful"] == true;
+        if successful {
+            text += "all of the configuration is in force\n";
+        }
+        Self { successful, text }
+    }
+}
+
+/// A line for each item that is not in force.
+fn items(state: &Value) -> String {
+    let items = state["not_in_force"].as_array().into_iter().flatten();
+    let line = |item: &Value| {
+        let text = |key: &str| item[key].as_str().unwrap_or_default().to_owned();
+        format!("not in force: {}: {}\n", text("what"), text("why"))
+    };
+    items.map(line).collect()
+}
+
+/// The way to a relay's admin server.
+struct Relay {
+    agent: Agent,
+    url: String,
+    bearer: Option<String>,
+}
+
+impl Relay {
+    fn of(args: &Args) -> anyhow::Result<Self> {
+        let place = match (&args.url, &args.config) {
+            // What is wrong with it, the relay says.
+            (None, Some(file)) => {
+                config::read_text(file).ok().map(|text| config::admin_place(&text))
+            }
+            _ => None,
+        };
+        let place = place.unwrap_or_default();
+        if !place.enabled {
+            bail!("the admin server is off ([admin] enabled), and it alone tells the verdict");
+        }
+        let url = match &args.url {
+            Some(url) => url.trim_end_matches('/').to_owned(),
+            None => format!("http://{}", reachable(place.listen)),
+        };
+        let beside = args.config.as_deref().and_then(Path::parent).unwrap_or(Path::new(""));
+        let token = args.token_file.clone().or(place.token_file.map(|file| beside.join(file)));
+        let bearer = token.as_deref().map(bearer).transpose()?;
+        Ok(Self { agent: agent(ANSWER_TIME), url, bearer })
+    }
+
+    /// What the relay says of its last reload.
+    fn state(&self) -> anyhow::Result<Value> {
+        let mut request = self.agent.get(format!("{}/api/v1/status", self.url));
+        if let Some(bearer) = &self.bearer {
+            request = request.header("authorization", bearer.as_str());
+        }
+        let no_answer = |error: ureq::Error| anyhow!("no answer from {}: {error}", self.url);
+        let mut answer = request.call().map_err(no_answer)?;
+        let text = answer.body_mut().read_to_string().map_err(no_answer)?;
+        if answer.status() != 200 {
+            bail!("{} answered {}: {}", self.url, answer.status().as_u16(), text.trim_end());
+        }
+        let status: Value = serde_json::from_str(&text)
+            .with_context(|| format!("{} is not the API of a pnet-nat", self.url))?;
+        Ok(status["reload"].clone())
+    }
+
+    /// Asks for a reload and waits for what comes of it.
+    fn post(&self, time: Duration) -> anyhow::Result<Verdict> {
+        let mut request = agent(time).post(format!("{}/-/reload", self.url));
+        if let Some(bearer) = &self.bearer {
+            request = request.header("authorization", bearer.as_str());
+        }
+        let no_answer = |error: ureq::Error| anyhow!("no answer from {}: {error}", self.url);
+        let mut answer = request.send_empty().map_err(no_answer)?;
+        let text = answer.body_mut().read_to_string().map_err(no_answer)?;
+        match answer.status().as_u16() {
+            200 | 409 => Ok(Verdict::of(&self.state()?)),
+            422 => Ok(Verdict { successful: false, text: format!("reload failed\n{text}") }),
+            403 => bail!("{}: {}; or give --pid", self.url, text.trim_end()),
+            status => bail!("{} answered {status}: {}", self.url, text.trim_end()),
+        }
+    }
+}
+
+/// Where a server that listens on all addresses is reached from here.
+fn reachable(mut listen: SocketAddr) -> SocketAddr {
+    if listen.ip().is_unspecified() {
+        let loopback: IpAddr = match listen {
+            SocketAddr::V4(_) => Ipv4Addr::LOCALHOST.into(),
+            SocketAddr::V6(_) => Ipv6Addr::LOCALHOST.into(),
+        };
+        listen.set_ip(loopback);
+    }
+    listen
+}
