@@ -1,14 +1,25 @@
 //! What the service manager hears of a running relay, where there is one that listens (systemd's
 //! sd_notify protocol, `$NOTIFY_SOCKET`).
 
+use std::env;
+use std::ffi::OsStr;
 use std::future;
-use std::sync::Arc;
-use std::time::Duration;
+use std::io;
+use std::os::linux::net::SocketAddrExt;
+use std::os::unix::ffi::OsStrExt;
+use std::os::unix::net::{SocketAddr, UnixDatagram};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+use std::time::{Duration, Instant};
 
 use sd_notify::NotifyState;
 use tokio::time;
 
 use crate::net::Router;
+
+const NOT_HEARD: &str = "the service manager cannot be told";
+
+/// How often it is told of at most that the manager does not hear.
+const COMPLAINT_INTERVAL: Duration = Duration::from_secs(600);
 
 /// It relays, with the configuration in force.
 pub fn ready(router: &Router) {
@@ -56,8 +67,55 @@ fn status(router: &Router) -> String {
     format!("{kept}relaying; nets: {}, public ports: {}", nets.len(), mappings.len())
 }
 
+/// The manager's socket.
+#[derive(Debug)]
+struct Manager {
+    socket: UnixDatagram,
+    address: SocketAddr,
+    /// When it was last told of that the manager does not hear.
+    complained: Mutex<Option<Instant>>,
+}
+
+static MANAGER: OnceLock<Manager> = OnceLock::new();
+
+/// Finds the manager, if there is one. Before the confinement, which lets nobody connect to a socket
+/// with an abstract name any more, but those that are connected go on.
+pub fn connect() {
+    let Some(name) = env::var_os("NOTIFY_SOCKET") else { return };
+    match Manager::connected(&name) {
+        Ok(manager) => _ = MANAGER.set(manager),
+        Err(error) => tracing::warn!(%error, socket = %name.display(), "{NOT_HEARD}"),
+    }
+}
+
+impl Manager {
+    fn connected(name: &OsStr) -> io::Result<Self> {
+        let address = match name.as_bytes().strip_prefix(b"@") {
+            Some(name) => SocketAddr::from_abstract_name(name)?,
+            None => SocketAddr::from_pathname(name)?,
+        };
+        let socket = UnixDatagram::unbound()?;
+        // A manager that is stuck must not hold up the relay.
+        socket.set_nonblocking(true)?;
+        socket.connect_addr(&address)?;
+        Ok(Self { socket, address, complained: Mutex::default() })
+    }
+
+    fn send(&self, message: &[u8]) -> io::Result<usize> {
+        // One that was started anew has another socket of the same name.
+        let again =
+            |_| self.socket.connect_addr(&self.address).and_then(|()| self.socket.send(message));
+        self.socket.send(message).or_else(again)
+    }
+}
+
 fn notify(states: &[NotifyState<'_>]) {
-    if let Err(error) = sd_notify::notify(states) {
-        tracing::warn!(%error, "the service manager cannot be told");
+    let Some(manager) = MANAGER.get() else { return };
+    let message: String = states.iter().map(|state| format!("{state}\n")).collect();
+    let Err(error) = manager.send(message.as_bytes()) else { return };
+    let mut complained = manager.complained.lock().unwrap_or_else(PoisonError::into_inner);
+    if complained.is_none_or(|last| last.elapsed() >= COMPLAINT_INTERVAL) {
+        *complained = Some(Instant::now());
+        tracing::warn!(%error, "{NOT_HEARD}");
     }
 }

@@ -60,6 +60,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<ExitCode> {
         signal(SignalKind::hangup())?
     };
     let_hangup_through();
+    service::connect();
     let prepared = (!args.no_sandbox).then(sandbox::prepare);
     let (config, warnings, user) = match read(&args.config, prepared.is_some()) {
         Ok(sound) => sound,

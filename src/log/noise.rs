@@ -11,8 +11,9 @@ use crate::metrics::totals::NodeTotals;
 use crate::net::{InForce, Router};
 use crate::relay::{Direction, DropReason, MappingId, NetId, SourceSketch, Table};
 
-/// Reports dropped datagrams: a line for each net and reason in each window that had some. Its
-/// windows are those of the audit log too.
+/// Reports dropped datagrams: a line for each net and reason at the end of the first window that has
+/// some, and as long as it goes on one every ten minutes, with the sum. Its windows are those of the
+/// audit log too.
 #[derive(Debug)]
 pub struct Noise {
     router: Arc<Router>,
@@ -21,18 +22,30 @@ pub struct Noise {
     /// Whose mappings they are.
     table: Arc<Table>,
     window_began: Instant,
+    /// By net and reason, what goes on and was told of before.
+    going_on: HashMap<(String, usize), Told>,
+}
+
+/// What happened since the last line.
+#[derive(Debug, Default)]
+struct Told {
+    count: u64,
+    time: Duration,
 }
 
 impl Noise {
     /// How long a window is.
     pub const WINDOW: Duration = Duration::from_secs(10);
 
+    /// How often a line comes for what goes on. After a pause that long, it is new again.
+    pub const INTERVAL: Duration = Duration::from_secs(600);
+
     /// Starts the first window.
     pub fn new(router: Arc<Router>) -> Self {
         let in_force = router.in_force();
         let table = Arc::clone(&in_force.config.table);
         let reported = table.mapping_ids().map(|mapping| dropped(&in_force, mapping)).collect();
-        Self { router, reported, table, window_began: Instant::now() }
+        Self { router, reported, table, window_began: Instant::now(), going_on: HashMap::new() }
     }
 
     /// Reports at the end of each window, for ever.
@@ -42,17 +55,17 @@ impl Noise {
         window.tick().await;
         loop {
             window.tick().await;
-            self.report(Self::WINDOW);
+            self.report(Self::WINDOW, false);
         }
     }
 
     /// Reports what the window that has begun holds so far: the last one.
     pub fn report_rest(&mut self) {
-        self.report(self.window_began.elapsed());
+        self.report(self.window_began.elapsed(), true);
     }
 
-    /// Ends the window: writes its lines.
-    fn report(&mut self, window: Duration) {
+    /// Ends the window: writes the lines that are due, or of the `last` one all.
+    fn report(&mut self, window: Duration, last: bool) {
         self.window_began = Instant::now();
         let in_force = self.router.in_force();
         self.router.audit().end_window(in_force.config.runtime.audit_lines, window);
@@ -72,10 +85,28 @@ impl Noise {
             }
         }
         for (net, counts) in table.net_ids().zip(counts) {
-            let happened = reasons().filter(|&reason| counts[reason as usize] > 0);
-            happened
-                .for_each(|reason| line(&in_force, net, reason, counts[reason as usize], window));
+            for reason in reasons() {
+                let key = (table.net(net).name.clone(), reason as usize);
+                let count = counts[reason as usize];
+                if count == 0 && !self.going_on.contains_key(&key) {
+                    continue;
+                }
+                let first = !self.going_on.contains_key(&key);
+                let told = self.going_on.entry(key.clone()).or_default();
+                (told.count, told.time) = (told.count + count, told.time + window);
+                if !(first || last || told.time >= Self::INTERVAL) {
+                    continue;
+                }
+                let Told { count, time } = std::mem::take(told);
+                if count == 0 {
+                    self.going_on.remove(&key);
+                } else {
+                    line(&in_force, net, reason, count, time);
+                }
+            }
         }
+        let table = &self.table;
+        self.going_on.retain(|(net, _), _| table.nets().iter().any(|it| it.name == *net));
     }
 }
 
@@ -136,7 +167,7 @@ mod tests {
 
     /// The lines that one report writes.
     fn report(noise: &mut Noise) -> Vec<Value> {
-        logged(|| noise.report(Noise::WINDOW))
+        logged(|| noise.report(Noise::WINDOW, false))
     }
 
     fn drop_some(router: &Router, reason: DropReason, sources: impl Iterator<Item = u64>) {
@@ -170,6 +201,27 @@ mod tests {
             ]
         );
         assert_eq!(report(&mut noise), Vec::<Value>::new(), "a quiet window says nothing");
+    }
+
+    #[test]
+    fn what_goes_on_is_told_of_every_ten_minutes() {
+        let router = Router::idle(config(), 1);
+        let mut noise = Noise::new(router.clone());
+        let mut lines = Vec::new();
+        for _ in 0..14 * 6 {
+            drop_some(&router, DropReason::PasswordWrong, std::iter::once(7));
+            lines.extend(report(&mut noise));
+        }
+        lines.extend(logged(|| noise.report(Duration::ZERO, true)));
+        let counts: Vec<_> = lines.iter().map(|line| line["count"].as_u64().unwrap()).collect();
+        assert_eq!(counts, [1, 60, 23], "{lines:?}");
+        assert_eq!(lines[1]["message"], "60 wrong passwords from 1 source in 600 s");
+
+        for _ in 0..60 {
+            assert_eq!(report(&mut noise), Vec::<Value>::new(), "a pause");
+        }
+        drop_some(&router, DropReason::PasswordWrong, std::iter::once(7));
+        assert_eq!(report(&mut noise)[0]["count"], 1, "it is new again");
     }
 
     /// Nets and nodes may have come, gone, and changed places meanwhile.

@@ -1,34 +1,57 @@
 //! Lines that the log gets now and then at most.
 
+use std::collections::HashMap;
 use std::io;
 use std::time::{Duration, Instant};
 
 /// How long nothing more is told.
 const INTERVAL: Duration = Duration::from_secs(10);
 
-/// Errors of the system, each kind told at most every ten seconds: a broken network is one fact, not
-/// a thousand lines.
+/// What is told of: each sentence is a fact of its own with each error of the system.
+type Fact = (&'static str, Option<i32>);
+
+/// Errors of the system, each told at most every ten seconds: a broken network is one fact, not a
+/// thousand lines.
 #[derive(Debug, Default)]
 pub(super) struct Complaints {
-    /// When each was told last. There are as many as there are sentences in the code.
-    last: Vec<(&'static str, Instant)>,
+    /// When each was told last. A sentence has few errors.
+    last: HashMap<Fact, Instant>,
 }
 
 impl Complaints {
-    /// Tells of an error, if none was told of lately.
+    /// Tells of an error, if it was not told of lately.
     pub(super) fn note(&mut self, error: &io::Error, what: &'static str) {
-        if self.due(Instant::now(), what) {
+        if self.is_due(Instant::now(), (what, error.raw_os_error())) {
             tracing::warn!(%error, "{what}");
         }
     }
 
     /// Whether this may be told now.
     pub(super) fn due(&mut self, now: Instant, what: &'static str) -> bool {
-        match self.last.iter_mut().find(|(told, _)| *told == what) {
-            Some((_, last)) if now - *last < INTERVAL => return false,
-            Some((_, last)) => *last = now,
-            None => self.last.push((what, now)),
+        self.is_due(now, (what, None))
+    }
+
+    fn is_due(&mut self, now: Instant, fact: Fact) -> bool {
+        let is_due = self.last.get(&fact).is_none_or(|&last| now - last >= INTERVAL);
+        if is_due {
+            self.last.insert(fact, now);
         }
-        true
+        is_due
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_fact_has_its_own_turn() {
+        let mut complaints = Complaints::default();
+        let now = Instant::now();
+        assert!(complaints.is_due(now, ("send", Some(libc::ENETUNREACH))));
+        assert!(!complaints.is_due(now, ("send", Some(libc::ENETUNREACH))));
+        assert!(complaints.is_due(now, ("send", Some(libc::EPERM))), "another error");
+        assert!(complaints.due(now, "flood"));
+        assert!(complaints.is_due(now + INTERVAL, ("send", Some(libc::ENETUNREACH))));
     }
 }

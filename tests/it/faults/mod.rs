@@ -5,6 +5,7 @@ mod clock;
 mod kernel;
 mod links;
 mod log;
+mod manager;
 mod process;
 mod servers;
 mod threads;
