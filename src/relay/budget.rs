@@ -20,12 +20,15 @@ use super::table::{Limits, Net, NetId, Table};
 #[derive(Debug)]
 pub struct Budget {
     all: Places,
+    all_pairs: Places,
     nets: Box<[NetBudget]>,
 }
 
 #[derive(Clone, Debug)]
 struct NetBudget {
     places: Places,
+    /// For (socket, server) pairs, in use or resting.
+    pairs: Places,
     requests: Requests,
 }
 
@@ -34,6 +37,10 @@ struct Requests {
     paid_until: Arc<AtomicU64>,
     rate: Option<RequestRate>,
 }
+
+/// Places for one (socket, server) pair, in its net and in the router; given back when dropped.
+#[derive(Debug)]
+pub(super) struct PairPlace([Arc<AtomicU32>; 2]);
 
 #[derive(Clone, Debug)]
 struct Places {
@@ -45,7 +52,8 @@ impl Budget {
     /// All places free, and a second's requests for each net.
     pub fn new(table: &Table, limits: &Limits) -> Self {
         let nets = table.nets().iter().map(NetBudget::new).collect();
-        Self { all: Places::new(limits.max_flows), nets }
+        let all_pairs = Places::new(pairs(limits.max_flows));
+        Self { all: Places::new(limits.max_flows), all_pairs, nets }
     }
 
     /// Other limits for what is taken of this budget, whose table is `old`. Nets are known by name.
@@ -56,7 +64,8 @@ impl Budget {
             None => NetBudget::new(net),
         };
         let nets = new.nets().iter().map(next).collect();
-        Self { all: Places { limit: limits.max_flows, ..self.all.clone() }, nets }
+        let all_pairs = Places { limit: pairs(limits.max_flows), ..self.all_pairs.clone() };
+        Self { all: Places { limit: limits.max_flows, ..self.all.clone() }, all_pairs, nets }
     }
 
     /// Takes a request of this net, if it has one left.
@@ -89,6 +98,32 @@ impl Budget {
         true
     }
 
+    /// Takes a place for a (socket, server) pair, which it has for as long as it rests too: as many
+    /// pairs may rest as may be in use. So the sockets are bounded, however fast clients come and go.
+    pub(super) fn take_pair(&self, net: NetId) -> Option<PairPlace> {
+        let places = [&self.net(net).pairs, &self.all_pairs];
+        if !places[0].take() {
+            return None;
+        }
+        if !places[1].take() {
+            places[0].give();
+            return None;
+        }
+        Some(PairPlace(places.map(|places| Arc::clone(&places.taken))))
+    }
+
+    /// Whether a net has a place for another pair.
+    #[cfg(test)]
+    pub(super) fn has_room_for_pair(&self, net: NetId) -> bool {
+        self.take_pair(net).is_some()
+    }
+
+    /// All pairs of all workers.
+    #[cfg(test)]
+    pub(super) fn pairs_taken(&self) -> usize {
+        self.all_pairs.taken.load(Relaxed) as usize
+    }
+
     /// Gives a place back.
     pub(super) fn give(&self, net: NetId) {
         self.net(net).places.give();
@@ -103,15 +138,28 @@ impl Budget {
 impl NetBudget {
     fn new(net: &Net) -> Self {
         let requests = Requests { paid_until: Arc::default(), rate: net.max_requests };
-        Self { places: Places::new(net.max_flows), requests }
+        let pairs = Places::new(pairs(net.max_flows));
+        Self { places: Places::new(net.max_flows), pairs, requests }
     }
 
     fn with_limits(&self, net: &Net) -> Self {
         Self {
             places: Places { limit: net.max_flows, ..self.places.clone() },
+            pairs: Places { limit: pairs(net.max_flows), ..self.pairs.clone() },
             requests: Requests { rate: net.max_requests, ..self.requests.clone() },
         }
     }
+}
+
+impl Drop for PairPlace {
+    fn drop(&mut self) {
+        self.0.iter().for_each(|taken| _ = taken.fetch_sub(1, Relaxed));
+    }
+}
+
+/// Pairs in use or resting, for so many flows.
+fn pairs(max_flows: u32) -> u32 {
+    max_flows.saturating_mul(2)
 }
 
 impl Places {

@@ -443,12 +443,12 @@ impl Core {
             public_address: arrival.public_address,
             public_port: mapping.public_port,
         };
-        let assigned = self.upstreams.assign(owner, mapping.server, shell);
-        let Some((upstream, upstream_port)) = assigned else {
-            self.rules.budget.give(mapping.net);
-            self.rules.budget.give_request(mapping.net);
-            return Err(DropReason::UpstreamExhausted);
-        };
+        let budget = &self.rules.budget;
+        let (upstream, upstream_port) =
+            self.upstreams.assign(owner, &mapping, budget, shell).inspect_err(|_| {
+                budget.give(mapping.net);
+                budget.give_request(mapping.net);
+            })?;
         let flow = Flow {
             endpoints: arrival.endpoints(),
             server: mapping.server,

@@ -69,7 +69,8 @@ pub enum DropReason {
     Broadcast,
     /// More requests a second than the flow or the net may have.
     RequestLimit,
-    /// A new flow would exceed the net's or the router's limit.
+    /// A new flow would exceed the net's or the router's limit, of those that are open or of those that
+    /// were until lately.
     FlowLimit,
     /// No upstream socket is free for a new flow to this server.
     UpstreamExhausted,
@@ -223,7 +224,7 @@ impl DropReason {
                 "With the right password, but more a second than `max_requests_per_second` or `max_flow_requests_per_second` lets through: a client that polls too fast, or one that is taken over."
             }
             Self::FlowLimit => {
-                "A new client found `max_flows` reached. Those already known are served; raise the limit if it is right."
+                "A new client found `max_flows` reached, or that as many flows have ended in the last two minutes. Those already known are served; raise the limit if it is right."
             }
             Self::UpstreamExhausted => {
                 "No upstream socket left for a new flow. Raise the limit of file descriptors."

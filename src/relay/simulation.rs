@@ -534,6 +534,8 @@ impl World {
                 let open = self.open_flows();
                 let full = open[usize::from(mapping.net.0)] >= u64::from(net.max_flows)
                     || open[open.len() - 1] >= u64::from(limits.max_flows);
+                let budget = &self.workers[worker].rules.budget;
+                let full = full || !budget.has_room_for_pair(mapping.net);
                 assert!(full || reason != DropReason::FlowLimit, "{open:?}");
                 let shell = &self.workers[worker].shell;
                 let sockets_left = shell.ports.len() < shell.limit;
@@ -735,6 +737,8 @@ impl World {
     }
 
     fn check(&mut self) {
+        let pairs: usize = self.workers.iter().map(|worker| worker.core.upstreams.pairs()).sum();
+        assert_eq!(self.rules.budget.pairs_taken(), pairs, "each pair has its place");
         for Worker { core, counters, shell, rules, .. } in &self.workers {
             core.check_invariants(self.now);
             let (told, flows) =

@@ -4,8 +4,8 @@
 //! (socket, server) alone. A client keeps to one socket as far as it can, so that a server's table
 //! of dynamic clients does not fill. A pair that a flow gave up rests for 120 s before
 //! another client may have it (N-9, RFC 6888 REQ-8); its port cannot be had again meanwhile, for
-//! the socket stays open as long as one of its pairs is in use or rests. The kernel picks the
-//! ports, at random (RFC 6056).
+//! the socket stays open as long as one of its pairs is in use or rests. How many pairs a net may
+//! have is bounded, and with them its sockets.
 
 use std::collections::HashMap;
 use std::net::{IpAddr, SocketAddr};
@@ -13,10 +13,13 @@ use std::net::{IpAddr, SocketAddr};
 use foldhash::fast::SeedableRandomState;
 use slab::Slab;
 
+use super::budget::{Budget, PairPlace};
 use super::flow::Nanos;
 use super::ids::UpstreamId;
 use super::queue::Queue;
+use super::reason::DropReason;
 use super::shell::Shell;
+use super::table::Mapping;
 
 /// How long a pair that a flow gave up is kept from other clients.
 const REST: Nanos = 120_000_000_000;
@@ -67,10 +70,11 @@ struct Socket {
 }
 
 /// A (socket, server) that is in use or rests.
-#[derive(Clone, Copy, Debug)]
+#[derive(Debug)]
 struct Pair {
     owner: Owner,
     state: PairState,
+    _place: PairPlace,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -101,20 +105,31 @@ impl Upstreams {
         }
     }
 
-    /// Gives a flow a socket on which nobody else talks to this server, and tells its port.
-    /// None when there is no such socket and no other can be opened.
+    /// Gives a flow a socket on which nobody else talks to its server, and tells its port. Fails when
+    /// too many pairs of its net are in use or rest, or there is no such socket and no other can be
+    /// opened.
     pub(super) fn assign(
         &mut self,
         owner: Owner,
-        server: SocketAddr,
+        mapping: &Mapping,
+        budget: &Budget,
         shell: &mut impl Shell,
-    ) -> Option<(UpstreamId, u16)> {
-        let socket = self
-            .home(owner, server)
+    ) -> Result<(UpstreamId, u16), DropReason> {
+        let server = mapping.server;
+        let home = self.home(owner, server);
+        if let Some(socket) = home
+            && let Some(pair) = self.pairs.get_mut(&(socket, server))
+        {
+            pair.state = PairState::Used; // what rests for this very client
+            return Ok((socket, self.sockets[socket.key()].port));
+        }
+        let place = budget.take_pair(mapping.net).ok_or(DropReason::FlowLimit)?;
+        let socket = home
             .or_else(|| self.probe(owner, server))
             .or_else(|| self.open(server, shell))
-            .or_else(|| self.search(owner, server))?;
-        let used = Pair { owner, state: PairState::Used };
+            .or_else(|| self.search(owner, server))
+            .ok_or(DropReason::UpstreamExhausted)?;
+        let used = Pair { owner, state: PairState::Used, _place: place };
         if self.pairs.insert((socket, server), used).is_none() {
             self.sockets[socket.key()].pairs += 1;
             let home = self.homes.entry(owner.home()).or_insert(Home { socket, pairs: 0 });
@@ -123,7 +138,7 @@ impl Upstreams {
                 home.socket = socket;
             }
         }
-        Some((socket, self.sockets[socket.key()].port))
+        Ok((socket, self.sockets[socket.key()].port))
     }
 
     /// Closes the sockets whose ports are wanted for something else, whatever they are used for.
@@ -158,10 +173,11 @@ impl Upstreams {
         for _ in 0..AT_ONCE {
             let rested = self.resting.pop_if(|&(end, ..)| end <= now);
             let Some((end, socket, server)) = rested else { return false };
-            let Some(pair) = self.pairs.get(&(socket, server)).copied() else { continue };
-            if pair.state == PairState::RestsUntil(end) {
+            let Some(pair) = self.pairs.get(&(socket, server)) else { continue };
+            let (owner, state) = (pair.owner, pair.state);
+            if state == PairState::RestsUntil(end) {
                 self.pairs.remove(&(socket, server));
-                self.leave_home(pair.owner);
+                self.leave_home(owner);
                 self.leave_socket(socket, shell);
             }
         }
@@ -170,6 +186,12 @@ impl Upstreams {
 
     pub(super) fn is_empty(&self) -> bool {
         self.sockets.is_empty()
+    }
+
+    /// Pairs in use or resting.
+    #[cfg(test)]
+    pub(super) fn pairs(&self) -> usize {
+        self.pairs.len()
     }
 
     /// Panics where the tables do not agree with each other.

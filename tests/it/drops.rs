@@ -4,6 +4,7 @@
 //! Silence is not waited for: a good exchange follows, and has to be the very next thing that the
 //! node and the client see. One worker handles both, in this order.
 
+use std::fs;
 use std::net::{SocketAddr, UdpSocket};
 
 use crate::harness::{
@@ -234,6 +235,49 @@ fn no_upstream_socket_left() {
     // The same socket does for another node.
     let other = site.node(3);
     exchange(last, site.public(3), &other, 3);
+    relay.finish();
+}
+
+/// N-9: the port of a flow that ended rests. So may as many as may be open, and no more, however fast
+/// clients come and go.
+#[test]
+fn sockets_that_rest_are_bounded_too() {
+    let site = Site::claim();
+    let net = "idle_timeout = \"1ms\"\nmax_flows = 10";
+    let server = format!(
+        "[[server]]\nname = \"press\"\npublic_port = 20200\naddress = \"{}:34379\"\nnode = 9\n\
+         allow = [\"{}/24\"]\n[[server.password]]\nname = \"service\"\n\
+         file = \"secrets/section-1\"",
+        site.address(9),
+        site.address(0)
+    );
+    let relay = site.relay(Settings { net, sections: &server, ..Settings::default() });
+    let (node, press) = (site.node(4), site.node(9));
+    let address = site.client().address().ip();
+    let clients: Vec<_> = (0..50).map(|_| Peer::bind((address, 0).into())).collect();
+    for (asked, clients) in (0..).step_by(10).zip(clients.chunks(10)) {
+        eventually("the flows before have ended", || {
+            let metrics = relay.metrics();
+            let judged = metrics.sum("pnet_nat_received_datagrams_total", &[]) == asked;
+            (judged && metrics.sum("pnet_nat_flows", &[]) == 0).then_some(())
+        });
+        clients.iter().for_each(|client| client.send(site.public(4), &request(4)));
+    }
+    relay.expect_drops(&[("request", "flow_limit", 30)]);
+    let sockets = fs::read_dir(format!("/proc/{}/fd", relay.process.id())).unwrap();
+    let sockets = sockets.filter(|fd| {
+        let to = fs::read_link(fd.as_ref().unwrap().path());
+        to.is_ok_and(|to| to.to_string_lossy().starts_with("socket:"))
+    });
+    let public = 6;
+    let others = 10; // the admin server, with its connections
+    assert!(sockets.count() <= public + others + 2 * 10);
+    // Whose port rests has it again; other nets have ports of their own.
+    (0..20).for_each(|_| drop(node.receive()));
+    let again = &clients[0];
+    exchange(again, site.public(4), &node, 4);
+    exchange(&site.client(), (site.public_address(), 20200).into(), &press, 9);
+    relay.expect_drops(&[("request", "flow_limit", 30)]);
     relay.finish();
 }
 
