@@ -132,6 +132,8 @@ fn exchanging_the_password_costs_no_allocation() {
 fn a_dropped_request_costs_no_allocation() {
     let outside: SocketAddr = "192.0.2.1:7".parse().unwrap();
     let member = client_endpoint(0);
+    // At an address from which no password was right yet.
+    let guesser: SocketAddr = "10.9.9.9:7".parse().unwrap();
     let secure = |route: &[u8]| datagram(route, &[7; 16], PASSWORD);
     let wrong = datagram(&ROUTE, &[7; 16], b"guessed!");
     let mut broadcast = ROUTE;
@@ -148,7 +150,7 @@ fn a_dropped_request_costs_no_allocation() {
         (DropReason::Unanswerable, SocketAddr::new(outside.ip(), 0), request(1).to_vec()),
         (DropReason::SourceNotAllowed, outside, request(1).to_vec()),
         (DropReason::PasswordWrong, member, wrong.clone()),
-        (DropReason::Throttled, client_endpoint(1), wrong),
+        (DropReason::Throttled, guesser, wrong),
         (DropReason::NotUnicast, member, request(1).to_vec()),
         (DropReason::Broadcast, member, secure(&broadcast)),
         (DropReason::NodeMismatch, member, request(2).to_vec()),
