@@ -8,9 +8,13 @@ local pnet = Proto("pnet", "P-NET on IP")
 
 local MIN_DATAGRAM, MAX_DATAGRAM, PASSWORD = 8, 107, 8
 local HEADER, MAX_REMAINING = 4, 27
+-- Datagrams that the kernel takes in one message.
+local MOST_IN_ROW = 64
 local BNA, SNA = 126, 127
 
 local field = {
+    datagram = ProtoField.uint8("pnet.datagram", "Datagram"),
+    datagrams = ProtoField.uint8("pnet.datagrams", "Datagrams in the row"),
     length = ProtoField.uint16("pnet.length", "Length"),
     header = ProtoField.bytes("pnet.header", "Header"),
     route = ProtoField.bytes("pnet.route", "Route"),
@@ -158,68 +162,77 @@ local function add_route(tree, tvb, route, package)
         table.concat(numbers.destination, "."), table.concat(numbers.source, "."))
 end
 
--- Says what is wrong with a datagram, and where.
-local function refuse(tree, info, tvb, why, at)
+-- Says what is wrong with a datagram, and where; gives the text for the list of packets.
+local function refuse(tree, tvb, why, at)
     local count = tvb:len()
     local place = at < count and tvb(at, 1) or tvb(count, 0)
     tree:add(field.error, place, why):set_generated()
     tree:add(field.error_offset, place, at):set_generated()
     tree:add_proto_expert_info(malformed, why)
-    info.cols.info = "Malformed: " .. why
+    return "Malformed: " .. why
 end
 
-function pnet.dissector(tvb, info, root)
-    local count, sent = tvb:len(), tvb:reported_len()
-    info.cols.protocol = "P-NET"
-    local tree = root:add(pnet, tvb())
-    tree:add(field.length, tvb(0, 0), sent):set_generated()
-
-    if count < sent then
-        return refuse(tree, info, tvb,
-            string.format("only %d of its %d octets were captured", count, sent), count)
-    elseif count > MAX_DATAGRAM then
-        return refuse(tree, info, tvb,
-            string.format("a datagram has at most %d octets", MAX_DATAGRAM), MAX_DATAGRAM)
+-- What `octets`, a Lua string, are: their route, package and size of data. Or nothing, why not, and
+-- where; with the route and the package where only the length is wrong.
+local function read(octets)
+    local count = #octets
+    if count > MAX_DATAGRAM then
+        return nil, string.format("a datagram has at most %d octets", MAX_DATAGRAM), MAX_DATAGRAM
     elseif count < MIN_DATAGRAM then
-        return refuse(tree, info, tvb,
-            string.format("a datagram has at least %d octets", MIN_DATAGRAM), count)
+        return nil, string.format("a datagram has at least %d octets", MIN_DATAGRAM), count
     end
     local header = ByteArray.new(pnet.prefs.header)
     for at = 0, HEADER - 1 do
-        if at >= header:len() or tvb(at, 1):uint() ~= header:get_index(at) then
-            return refuse(tree, info, tvb, "the header is not the expected one", at)
+        if at >= header:len() or octets:byte(at + 1) ~= header:get_index(at) then
+            return nil, "the header is not the expected one", at
         end
     end
     local package = {}
     for at = HEADER, count - 1 do
-        package[at - HEADER] = tvb(at, 1):uint()
+        package[at - HEADER] = octets:byte(at + 1)
     end
     local route, why, at = read_route(package, count - HEADER)
     if not route then
-        return refuse(tree, info, tvb, why, HEADER + at)
+        return nil, why, HEADER + at
     end
-    tree:add(field.header, tvb(0, HEADER))
-    local way = add_route(tree, tvb, route, package)
-
-    local data = HEADER + route.length + 2
-    local flags, size = 0, 0
-    if data <= count then
-        size = package[route.length + 1] % 0x40
-        flags = package[route.length + 1] - size
-    end
-    local data_end = data + size
+    local found = { route = route, package = package, data = HEADER + route.length + 2 }
+    found.format = package[route.length + 1] or 0
+    found.size = found.format % 0x40
+    local data_end = found.data + found.size
     if data_end ~= count and data_end + PASSWORD ~= count then
-        return refuse(tree, info, tvb,
-            "the octets behind the route do not fit the data-field-format",
-            math.min(data_end, count))
+        return nil, "the octets behind the route do not fit the data-field-format",
+            math.min(data_end, count), found
     end
-    local kind = dlpdu_type(route, package, size)
+    return found
+end
+
+-- Shows a datagram, or why it is none; gives the text for the list of packets.
+local function show(tvb, tree)
+    local count, sent = tvb:len(), tvb:reported_len()
+    tree:add(field.length, tvb(0, 0), sent):set_generated()
+    if count < sent then
+        return refuse(tree, tvb,
+            string.format("only %d of its %d octets were captured", count, sent), count)
+    end
+    local found, why, at, sound = read(tvb:raw())
+    local way
+    if found or sound then
+        local begins = found or sound
+        tree:add(field.header, tvb(0, HEADER))
+        way = add_route(tree, tvb, begins.route, begins.package)
+    end
+    if not found then
+        return refuse(tree, tvb, why, at)
+    end
+    local route, data, size = found.route, found.data, found.size
+    local data_end = data + size
+    local kind = dlpdu_type(route, found.package, size)
     if kind then
         tree:add(field.dlpdu_type, tvb(HEADER, route.length), kind):set_generated()
     end
     tree:add(field.control_status, tvb(data - 2, 1))
     local format = tree:add(field.data_field_format, tvb(data - 1, 1))
-    format:add(field.data_field_flags, tvb(data - 1, 1), flags)
+    format:add(field.data_field_flags, tvb(data - 1, 1), found.format - size)
     format:add(field.data_size, tvb(data - 1, 1), size)
     if size > 0 then
         tree:add(field.data, tvb(data, size))
@@ -229,9 +242,48 @@ function pnet.dissector(tvb, info, root)
         tree:add(field.password_octets, password)
     end
     tree:add(field.password, password or tvb(count, 0), password and "present" or "absent")
-    info.cols.info = string.format("%s %s, %d data octets, password %s",
+    return string.format("%s %s, %d data octets, password %s",
         kind and kind:gsub("_", " "):gsub("^%l", string.upper) or "Of no DLPDU type", way, size,
         password and "present" or "absent")
+end
+
+-- The length of the datagrams when `octets` are a row of them, as a capture on the router itself
+-- shows a burst that the kernel cuts later: all of one length, only the last may be shorter.
+local function length_in_row(octets)
+    for length = MIN_DATAGRAM, math.min(MAX_DATAGRAM, #octets - 1) do
+        if #octets <= length * MOST_IN_ROW then
+            local at = 1
+            while at <= #octets and read(octets:sub(at, at + length - 1)) do
+                at = at + length
+            end
+            if at > #octets then
+                return length
+            end
+        end
+    end
+end
+
+function pnet.dissector(tvb, info, root)
+    info.cols.protocol = "P-NET"
+    local count = tvb:len()
+    local octets = tvb:raw()
+    local length = count == tvb:reported_len() and not read(octets) and length_in_row(octets)
+    if not length then
+        info.cols.info = show(tvb, root:add(pnet, tvb()))
+        return
+    end
+    local datagrams, first = math.floor((count + length - 1) / length), nil
+    for number = 1, datagrams do
+        local from = (number - 1) * length
+        local range = tvb(from, math.min(length, count - from))
+        local tree = root:add(pnet, range)
+        tree:append_text(string.format(", %d of %d", number, datagrams))
+        tree:add(field.datagram, range, number):set_generated()
+        tree:add(field.datagrams, range, datagrams):set_generated()
+        local said = show(range:tvb(), tree)
+        first = first or said
+    end
+    info.cols.info = string.format("%d datagrams in a row, the first: %s", datagrams, first)
 end
 
 local by_port = DissectorTable.get("udp.port")

@@ -78,6 +78,49 @@ fn a_capture_is_searched_on_the_ports_of_p_net_and_those_that_are_named() {
     );
 }
 
+/// A capture on the router itself shows bursts that the kernel cuts later (UDP_SEGMENT).
+#[test]
+fn a_payload_that_is_a_row_of_datagrams_is_shown_datagram_by_datagram() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("capture.pcap");
+    // 11 of 38 octets, the last of them shorter.
+    let one = |node, data: &[u8]| datagram(&[0x0B, node, 0x8B, 0x83], data, PASSWORD);
+    let mut row: Vec<_> = (1..=11).map(|node| one(node, &[node; 20])).collect();
+    row[10] = one(11, b"abc");
+    let mut broken = row.clone();
+    broken[2][3] = 1;
+    let (row, broken) = (row.concat(), broken.concat());
+    assert_eq!(row.len(), 10 * 38 + 21);
+    fs::write(&file, pcap([(34379, &row[..]), (34379, &broken), (34379, &request(4))])).unwrap();
+
+    let (code, json, stderr) = ended(&file, &["--format", "json"]);
+    assert_eq!((code, &stderr[..]), (Some(0), ""));
+    let lines: Vec<Value> = json.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    assert_eq!(lines.len(), 13);
+    for (line, number) in lines.iter().zip(1..=11) {
+        let (packet, time) = (&line["packet"], &line["time"]);
+        assert_eq!((packet, time), (&json!(1), &json!("2026-09-21T14:13:20.000007Z")));
+        assert_eq!((&line["datagram"], &line["datagrams"]), (&json!(number), &json!(11)));
+        assert_eq!(line["length"], if number == 11 { 21 } else { 38 });
+        assert_eq!((&line["node_address"], &line["password"]), (&json!(number), &json!("present")));
+    }
+    let error = "a datagram has at most 107 octets";
+    assert_eq!((&lines[11]["error"], &lines[11]["length"]), (&json!(error), &json!(401)));
+    for alone in &lines[11..] {
+        assert_eq!((alone.get("datagram"), alone.get("datagrams")), (None, None));
+    }
+
+    let (_, text, _) = ended(&file, &[]);
+    let last = "packet 1, 2026-09-21T14:13:20.000007Z, 198.51.100.20:50000 > 203.0.113.5:34379: \
+                11 of 11: confirmed; extended route to net 11 node 11, from net 11 node 3; \
+                control-status $0C, data-field-format $03, data 616263, password present";
+    assert_eq!(text.lines().nth(10), Some(last));
+    let password: String = PASSWORD.iter().map(|octet| format!("{octet:02x}")).collect();
+    for shown in [text, json] {
+        assert!(!shown.contains("s3cr3t") && !shown.contains(&password), "{shown}");
+    }
+}
+
 #[test]
 fn datagrams_are_shown_as_they_come() {
     let folder = tempfile::tempdir().unwrap();

@@ -140,6 +140,40 @@ fn damaged() -> Vec<Vec<u8>> {
     all
 }
 
+/// Payloads that are rows of datagrams, as a router's own capture shows bursts, and some that are
+/// not quite: alone, with and without a password, of two lengths, with a last one that is shorter.
+fn rows() -> Vec<Vec<u8>> {
+    let with =
+        |node, data: &[u8], password: &[u8]| datagram(&[0x0B, node, 0x8B, 0x83], data, password);
+    let row = |count: u8, password: &[u8], last: &[u8]| {
+        let mut row: Vec<_> = (1..count).map(|node| with(node, &[node; 20], password)).collect();
+        row.push(with(count, last, password));
+        row
+    };
+    let mut all = Vec::new();
+    for password in [&PASSWORD[..], b""] {
+        all.push(row(11, password, &[7; 20]));
+        all.push(row(2, password, b"abc"));
+        all.push(row(64, password, &[7; 20]));
+        all.push(row(65, password, &[7; 20]));
+        all.push(row(3, password, &[7; 21]));
+        // A change in each octet of the third.
+        for at in 0..38 {
+            for change in [0x01, 0x80] {
+                let mut row = row(4, password, &[7; 20]);
+                if let Some(octet) = row[2].get_mut(at) {
+                    *octet ^= change;
+                }
+                all.push(row);
+            }
+        }
+    }
+    // With and without a password in one row.
+    all.push(vec![with(4, &[4; 9], PASSWORD), with(5, &[5; 17], b""), with(6, b"", PASSWORD)]);
+    all.push(vec![with(4, &[4; 17], b""), with(5, &[5; 9], PASSWORD), with(6, b"", b"")]);
+    all.iter().map(|row| row.concat()).collect()
+}
+
 /// One line of `pnet-nat decode --format json` for each datagram.
 fn decoded(capture: &str) -> Vec<Map<String, Value>> {
     let arguments = ["decode", capture, "--ports", PORTS[2], "--format", "json"];
@@ -148,23 +182,24 @@ fn decoded(capture: &str) -> Vec<Map<String, Value>> {
     process.stdout().lines().map(|line| serde_json::from_str(line).unwrap()).collect()
 }
 
-/// A value as tshark prints it: lists with commas, nothing for what is not there.
-fn printed(value: Option<&Value>) -> String {
-    match value {
-        None => String::new(),
-        Some(Value::String(text)) => text.clone(),
-        Some(Value::Array(list)) => {
-            list.iter().map(ToString::to_string).collect::<Vec<_>>().join(",")
-        }
-        Some(value) => value.to_string(),
-    }
+/// A field of the datagrams of a packet as tshark prints it: with commas, nothing for what is not
+/// there.
+fn printed(packet: &[Map<String, Value>], name: &str) -> String {
+    let values = packet.iter().filter_map(|datagram| datagram.get(name));
+    let texts = values.flat_map(|value| match value {
+        Value::String(text) => vec![text.clone()],
+        Value::Array(list) => list.iter().map(ToString::to_string).collect(),
+        value => vec![value.to_string()],
+    });
+    texts.filter(|text| !text.is_empty()).collect::<Vec<_>>().join(",")
 }
 
 #[test]
 fn every_field_is_that_of_decode() {
-    let datagrams = [sound(), damaged()].concat();
+    let (datagrams, rows) = ([sound(), damaged()].concat(), rows());
     let ports = [34378, 34379, 40001, 40125].into_iter().cycle();
-    let mut capture = pcap(ports.zip(datagrams.iter().map(|octets| &octets[..])));
+    let payloads = datagrams.iter().chain(&rows);
+    let mut capture = pcap(ports.zip(payloads.map(|octets| &octets[..])));
     let cut = udp(34379, &request(4));
     capture.extend(frame(&cut, cut.len() - 5));
     let Some(home) = Home::with(&capture) else { return };
@@ -175,7 +210,10 @@ fn every_field_is_that_of_decode() {
     let fields: BTreeSet<_> =
         fields.filter(|name| !["password_octets", "malformed"].contains(name)).collect();
     let decoded = decoded(&home.capture());
-    assert_eq!(decoded.len(), datagrams.len() + 1);
+    let packets: Vec<_> = decoded.chunk_by(|a, b| a["packet"] == b["packet"]).collect();
+    assert_eq!(packets.len(), datagrams.len() + rows.len() + 1);
+    let in_rows = packets.iter().filter(|packet| packet.len() > 1).count();
+    assert!(in_rows > 10 && rows.len() - in_rows > 10, "{in_rows} of {}", rows.len());
     let places = ["packet", "time", "from", "to"];
     let names = decoded.iter().flat_map(Map::keys).map(String::as_str);
     let names: BTreeSet<_> = names.filter(|name| !places.contains(name)).collect();
@@ -184,11 +222,11 @@ fn every_field_is_that_of_decode() {
     let wanted: Vec<_> = fields.iter().map(|name| format!("pnet.{name}")).collect();
     let wanted: Vec<_> = wanted.iter().flat_map(|name| ["-e", name]).collect();
     let read = home.read(&[&["-T", "fields"], &wanted[..]].concat());
-    assert_eq!(read.lines().count(), decoded.len());
-    for (line, datagram) in read.lines().zip(&decoded) {
+    assert_eq!(read.lines().count(), packets.len());
+    for (line, packet) in read.lines().zip(&packets) {
         let columns: Vec<_> = line.split('\t').map(str::to_owned).collect();
-        let right: Vec<_> = fields.iter().map(|name| printed(datagram.get(*name))).collect();
-        assert_eq!(columns, right, "{datagram:?}");
+        let right: Vec<_> = fields.iter().map(|name| printed(packet, name)).collect();
+        assert_eq!(columns, right, "{packet:?}");
     }
 
     // Errors, and they alone, are marked as Wireshark marks them.
@@ -209,6 +247,18 @@ fn the_password_is_shown_on_demand_alone() {
     assert!(!masked.contains(&octets) && !masked.contains(&text), "{masked}");
     let shown = home.read(&["-O", "pnet", "-o", "pnet.show_password:TRUE"]);
     assert!(shown.contains(&format!("Password octets: {octets}")), "{shown}");
+}
+
+#[test]
+fn a_row_of_datagrams_says_so_in_the_list_of_packets() {
+    let row = [request(4), request(5), request(6)].concat();
+    let Some(home) = Home::with(&pcap([(34379, &row[..])])) else { return };
+    let summary = home.read(&["-T", "fields", "-e", "_ws.col.Info"]);
+    let first = "Confirmed to 11.4.2.33 from 11.3.31, 3 data octets, password present";
+    assert_eq!(summary, format!("3 datagrams in a row, the first: {first}\n"));
+    let masked = home.read(&["-O", "pnet"]);
+    assert!(masked.contains("P-NET on IP, 2 of 3"), "{masked}");
+    assert!(!masked.contains("s3cr3t"), "{masked}");
 }
 
 #[test]

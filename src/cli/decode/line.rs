@@ -10,6 +10,7 @@ use std::time::SystemTime;
 
 use serde::{Serialize, Serializer};
 
+use super::row::InRow;
 use crate::cli::output::{dotted, hex};
 use crate::wire::{
     BNA, Datagram, DatagramError, DatagramRepr, DlpduType, Header, Route, RouteFormat, SNA,
@@ -20,12 +21,15 @@ use crate::wire::{
 pub(super) struct Line {
     #[serde(flatten)]
     pub(super) place: Place,
+    /// Where it is one of several in a payload.
+    #[serde(flatten)]
+    pub(super) in_row: Option<InRow>,
     #[serde(flatten)]
     pub(super) fields: Fields,
 }
 
 /// Where a datagram was found.
-#[derive(Debug, Serialize)]
+#[derive(Clone, Copy, Debug, Serialize)]
 #[serde(untagged)]
 pub(super) enum Place {
     Text {
@@ -184,6 +188,9 @@ impl fmt::Display for Line {
                 write!(f, "{from} > {to}: ")?;
             }
         }
+        if let Some(InRow { datagram, datagrams }) = self.in_row {
+            write!(f, "{datagram} of {datagrams}: ")?;
+        }
         self.fields.fmt(f)
     }
 }
@@ -259,7 +266,7 @@ mod tests {
 
     fn line(octets: &[u8], length: usize) -> Line {
         let fields = Fields::of(octets, length, Header::default());
-        Line { place: Place::Text { line: 7 }, fields }
+        Line { place: Place::Text { line: 7 }, in_row: None, fields }
     }
 
     #[track_caller]

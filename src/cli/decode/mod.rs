@@ -1,13 +1,14 @@
 //! `pnet-nat decode`: shows the datagrams of hex text or of a capture.
 //!
 //! `capture` reads pcap and pcapng, `packet` finds the UDP payload in a packet, `hex` reads text,
-//! `line` is what is printed. Invariants: no password is ever printed, and whatever the input, it
-//! is read as a stream with a bounded buffer.
+//! `row` takes apart what the kernel cuts later, `line` is what is printed. Invariants: no password
+//! is ever printed, and whatever the input, it is read as a stream with a bounded buffer.
 
 mod capture;
 mod hex;
 mod line;
 mod packet;
+mod row;
 
 use std::fs::File;
 use std::io::{self, BufRead, BufReader, Read, Write, stdin, stdout};
@@ -21,13 +22,16 @@ use super::complain;
 use super::output::{Format, print_json};
 use crate::wire::Header;
 use line::{Fields, Line, Place};
+use row::InRow;
 
 /// Show the datagrams of hex text or of a capture (pcap, pcapng), without their passwords.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:  pnet-nat decode capture.pcapng --ports 40001-40125\n\
     Example:  tcpdump -i eth0 -U -w - udp | pnet-nat decode --format json -\n\
     Hex text has a datagram a line: 02000000 04830000. Blanks and colons between octets are left\n\
-    out, and so is what follows #. Exit 1 when the input cannot be read to its end.")]
+    out, and so is what follows #. A capture on the router itself shows some bursts as one packet,\n\
+    for the kernel cuts them later: each datagram has its line, marked like 1 of 11.\n\
+    Exit 1 when the input cannot be read to its end.")]
 pub(super) struct Args {
     /// Hex text, pcap or pcapng; - is the standard input.
     #[arg(value_name = "FILE", default_value = "-")]
@@ -88,12 +92,22 @@ pub(super) fn run(args: Args) -> anyhow::Result<ExitCode> {
 }
 
 fn decode(mut input: impl BufRead, args: &Args, out: &mut impl Write) -> anyhow::Result<()> {
-    let mut print = |place: Place, fields: Fields| -> io::Result<()> {
-        let line = Line { place, fields };
+    let mut print = |place, in_row, octets: &[u8], length| {
+        let line = Line { place, in_row, fields: Fields::of(octets, length, args.header) };
         match args.format {
             Format::Text => writeln!(out, "{line}"),
             Format::Json => print_json(&line, out),
         }
+    };
+    let mut show = |place, octets: &[u8], length| -> io::Result<()> {
+        let row = row::datagrams(octets, args.header).filter(|_| octets.len() == length);
+        let Some(row) = row else {
+            return print(place, None, octets, length);
+        };
+        let datagrams = row.len();
+        (1..).zip(row).try_for_each(|(datagram, octets)| {
+            print(place, Some(InRow { datagram, datagrams }), octets, octets.len())
+        })
     };
     let mut beginning = Vec::new();
     input.by_ref().take(4).read_to_end(&mut beginning)?;
@@ -101,7 +115,7 @@ fn decode(mut input: impl BufRead, args: &Args, out: &mut impl Write) -> anyhow:
     let input = io::Cursor::new(beginning).chain(input);
     if !is_capture {
         return hex::read(input, |line, octets| {
-            Ok(print(Place::Text { line }, Fields::of(octets, octets.len(), args.header))?)
+            Ok(show(Place::Text { line }, octets, octets.len())?)
         });
     }
 
@@ -119,7 +133,7 @@ fn decode(mut input: impl BufRead, args: &Args, out: &mut impl Write) -> anyhow:
             shown += 1;
             let (packet, time) = (captured.number, captured.time);
             let place = Place::Capture { packet, time, from: udp.from, to: udp.to };
-            print(place, Fields::of(udp.octets, udp.length, args.header))?;
+            show(place, udp.octets, udp.length)?;
         }
         Ok(())
     })?;
