@@ -28,6 +28,8 @@ const RETURN_INTERVAL: Duration = Duration::from_millis(100);
 #[derive(Debug, Default)]
 pub(crate) struct Tally {
     answered: AtomicU64,
+    /// When the latest answer came.
+    last_answer: Mutex<Option<Instant>>,
     /// From when to when an answer was waited for in vain.
     lost: Mutex<Vec<Range<Instant>>>,
 }
@@ -145,6 +147,10 @@ impl Tally {
         self.answered.load(Relaxed)
     }
 
+    pub(crate) fn last_answer(&self) -> Option<Instant> {
+        *self.last_answer.lock().unwrap()
+    }
+
     /// What was lost while none of this was the matter.
     fn lost_outside(&self, troubles: &[Range<Instant>]) -> u64 {
         let meets = |waited: &Range<Instant>, trouble: &Range<Instant>| {
@@ -163,6 +169,7 @@ impl Tally {
             Ok((answer, _)) => {
                 assert_eq!(answer.data_octets[..], *data_octets, "an answer to another request");
                 self.answered.fetch_add(1, Relaxed);
+                *self.last_answer.lock().unwrap() = Some(Instant::now());
             }
             Err(ExchangeError::NoAnswer { .. } | ExchangeError::Undelivered(_)) => {
                 self.lost.lock().unwrap().push(sent..Instant::now());

@@ -1,9 +1,11 @@
-//! What happens to the relay: strangers, new configurations, a node that loses power.
+//! What happens to the relay: strangers, scrapers, new configurations, a node that loses power, and a
+//! log whose disk is full from the start.
 
 use std::fs;
 use std::net::{Ipv4Addr, SocketAddr};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
+use std::process::Command;
 use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
 use std::time::{Duration, Instant, UNIX_EPOCH};
 
@@ -12,7 +14,7 @@ use nix::sys::signal::Signal;
 use crate::clients::{CLIENTS_OF_A_KIND, Clients};
 use crate::harness::{
     FIGURE_10, Network, PASSWORD, Peer, Process, Relay, WRONG, datagram, eventually, pause,
-    pnet_nat,
+    pnet_nat, scrubbed,
 };
 
 pub(crate) const PUBLIC: Ipv4Addr = Ipv4Addr::new(198, 51, 100, 1);
@@ -29,9 +31,23 @@ const RELOAD_SUCCESS_TIME: &str = "pnet_nat_config_last_reload_success_timestamp
 const BURST: usize = 8;
 const BREATH: Duration = Duration::from_millis(1);
 
+/// A block of ports that moves with each reload, over the ports that Linux lends, where the relay's
+/// own ports towards the plant are. No node stands behind it.
+const MOVING: std::ops::Range<u16> = 41_000..60_000;
+const BLOCK: usize = 128;
+
+/// Puts the log on a file system that is full, in a mount namespace of the relay's own.
+const FULL_DISK: &str = r#"
+set -eu
+mount -t tmpfs -o size=4k tmpfs /mnt
+exec "$0" "$@" 2>/mnt/log
+"#;
+
 /// Of the two that the operator changes between, the one with everything, or the one without node 4
-/// and without the second password.
-fn configuration(whole: bool) -> String {
+/// and without the second password. `round` says where the moving block is.
+fn configuration(whole: bool, round: usize) -> String {
+    let blocks = MOVING.len() / BLOCK;
+    let moving = MOVING.start + (round % blocks * BLOCK) as u16;
     let nodes = if whole { "[1, 2, 4]" } else { "[1, 2]" };
     let team_2 = r#"
 [[udp_range_net.password]]
@@ -81,12 +97,38 @@ file = "secrets/section-1"
 {team_2}
 {press}
 {mixer}
+
+[[udp_range_net]]
+name = "moving"
+start_port = {moving}
+subnet = "172.17.18.0"
+nodes = ["1-125"]
+allow = ["198.51.100.0/24"]
+[[udp_range_net.password]]
+name = "service"
+file = "secrets/section-1"
 "#
     )
 }
 
 pub(crate) fn start_relay() -> Relay {
-    Relay::start(&configuration(true), ADMIN.into(), None)
+    Relay::start_as(&configuration(true, 0), ADMIN.into(), |arguments| {
+        let mut command = Command::new("unshare");
+        command.args(["--mount", "sh", "-c", FULL_DISK, env!("CARGO_BIN_EXE_pnet-nat")]);
+        command.args(arguments);
+        scrubbed(command)
+    })
+}
+
+/// Scrapes as fast as it is answered; tells how often.
+pub(crate) fn scrape(relay: &Relay, over: &AtomicBool) -> u64 {
+    let mut scrapes = 0;
+    while !over.load(Relaxed) {
+        let (status, _) = relay.get("/metrics").expect("an answer");
+        assert_eq!(status, 200);
+        scrapes += 1;
+    }
+    scrapes
 }
 
 /// Brings the two configurations into force by turns.
@@ -94,17 +136,26 @@ pub(crate) struct Operator<'a> {
     relay: &'a Relay,
     clients: &'a Clients,
     whole: bool,
+    round: usize,
     /// Exchanges of those from whom something can be withdrawn, when the last reload was done.
     exchanges: [u64; 2],
     withdrawn_since: Option<Instant>,
     /// From when to when something was withdrawn, the reloads included.
     withdrawals: Vec<Range<Instant>>,
+    /// The longest time from a signal to the last answer that a withdrawn password or port got.
+    latest: Duration,
 }
 
 impl<'a> Operator<'a> {
     pub(crate) fn new(relay: &'a Relay, clients: &'a Clients) -> Self {
         let (withdrawn_since, withdrawals) = (None, Vec::new());
-        Self { relay, clients, whole: true, exchanges: [0; 2], withdrawn_since, withdrawals }
+        let (whole, round, exchanges, latest) = (true, 0, [0; 2], Duration::ZERO);
+        Self { relay, clients, whole, round, exchanges, withdrawn_since, withdrawals, latest }
+    }
+
+    /// The longest time that something withdrawn went on working.
+    pub(crate) fn latest(&self) -> Duration {
+        self.latest
     }
 
     /// From when to when something was withdrawn.
@@ -122,12 +173,19 @@ impl<'a> Operator<'a> {
             let limit = if self.whole { u64::MAX } else { before + CLIENTS_OF_A_KIND };
             assert!(now <= limit, "{} exchanges after it was withdrawn", now - before);
         }
-        self.whole = !self.whole;
+        if let Some(since) = self.withdrawn_since {
+            let Clients { withdrawn_password, withdrawn_mapping, .. } = self.clients;
+            for last in [withdrawn_password, withdrawn_mapping].map(|tally| tally.last_answer()) {
+                let late = last.map_or(Duration::ZERO, |last| last.saturating_duration_since(since));
+                self.latest = self.latest.max(late);
+            }
+        }
+        (self.whole, self.round) = (!self.whole, self.round + 1);
         if !self.whole {
             self.withdrawn_since = Some(Instant::now());
         }
         let file = self.relay.folder.path().join("pnet-nat.toml");
-        replace(&file, configuration(self.whole).as_bytes());
+        replace(&file, configuration(self.whole, self.round).as_bytes());
         let asked = UNIX_EPOCH.elapsed().unwrap().as_secs();
         self.relay.process.signal(Signal::SIGHUP);
         eventually("the configuration is in force", || {
