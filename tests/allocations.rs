@@ -139,7 +139,7 @@ fn a_dropped_request_costs_no_allocation() {
     let mut broadcast = ROUTE;
     broadcast[1] = 126;
     // In the order of the checks. Each is sent from a stranger first, where that makes a difference.
-    let cases: [(DropReason, SocketAddr, Vec<u8>); 15] = [
+    let cases: [(DropReason, SocketAddr, Vec<u8>); 16] = [
         (DropReason::TooShort, outside, vec![2, 0, 0, 0, 1]),
         (DropReason::TooLong, outside, vec![2; 108]),
         (DropReason::BadHeader, outside, [&[9, 9, 9, 9], &request(1)[4..]].concat()),
@@ -147,6 +147,11 @@ fn a_dropped_request_costs_no_allocation() {
         (DropReason::RouteFormat, outside, secure(&[0x02, 0x81])),
         (DropReason::BadLength, outside, request(1)[..37].to_vec()),
         (DropReason::PasswordMissing, outside, datagram(&ROUTE, &[7; 16], &[])),
+        (
+            DropReason::Loop,
+            SocketAddr::new(arrival(member, 1).public_address, 0),
+            request(1).to_vec(),
+        ),
         (DropReason::Unanswerable, SocketAddr::new(outside.ip(), 0), request(1).to_vec()),
         (DropReason::SourceNotAllowed, outside, request(1).to_vec()),
         (DropReason::PasswordWrong, member, wrong.clone()),

@@ -129,6 +129,10 @@ impl Shell for NoSockets {
         self.open -= 1;
     }
 
+    fn has_upstream_port(&self, port: u16) -> bool {
+        usize::from(port) < self.open
+    }
+
     fn flow_opened(&mut self, _: &Table, _: &FlowRecord) {}
 
     fn flow_closed(&mut self, _: &Table, _: &FlowRecord, _: CloseReason) {}

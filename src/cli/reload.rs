@@ -79,6 +79,7 @@ struct Verdict {
 }
 
 /// Sends SIGHUP and waits until a reload is over that began afterwards.
+#[expect(clippy::disallowed_methods, reason = "the admin server does not tell by itself")]
 fn signal(pid: i32, relay: anyhow::Result<Relay>, time: Duration) -> anyhow::Result<Verdict> {
     let before = relay.and_then(|relay| {
         let begun = number(&relay.state()?, "begun")?;

@@ -125,6 +125,7 @@ fn may_pass(error: &anyhow::Error) -> bool {
 }
 
 /// Binds everything, or nothing. Waits for an address that the host is about to have.
+#[expect(clippy::disallowed_methods, reason = "nothing tells that an address is tentative no more")]
 fn bind(config: Config) -> anyhow::Result<(Bound, Option<StdListener>)> {
     let end = Instant::now() + ADDRESS_TIME;
     let mut told = false;

@@ -156,7 +156,7 @@ impl Router {
         let known = old.drops_by_name();
         let drops_of = |net: &Net| known.get(net.name.as_str()).copied().cloned();
         let drops = config.table.nets().iter().map(|net| drops_of(net).unwrap_or_default());
-        let drops = drops.collect();
+        let drops: Vec<_> = drops.collect();
         // No new upstream socket gets in the way of a new public one.
         self.ports.keep_out_of(&[&old.config, &config]);
         let Opened { listeners, mut missing } = self.open(&config, &drops, &old);
@@ -195,7 +195,7 @@ impl Router {
     }
 
     /// The sockets of a configuration, watched by the workers' epoll.
-    fn open(&self, config: &Config, drops: &Vec<Arc<NetDrops>>, old: &InForce) -> Opened {
+    fn open(&self, config: &Config, drops: &[Arc<NetDrops>], old: &InForce) -> Opened {
         let share = descriptors::share(addresses(config), self.workers.len());
         let before = old.listeners().clone();
         let mut opened = bind::open(config, drops, &before, self.workers.len(), &share);

@@ -14,7 +14,7 @@ use nix::sys::signal::Signal;
 use crate::clients::{CLIENTS_OF_A_KIND, Clients};
 use crate::harness::{
     FIGURE_10, Network, PASSWORD, Peer, Process, Relay, WRONG, datagram, eventually, pause,
-    pnet_nat, scrubbed,
+    pnet_nat,
 };
 
 pub(crate) const PUBLIC: Ipv4Addr = Ipv4Addr::new(198, 51, 100, 1);
@@ -113,10 +113,11 @@ file = "secrets/section-1"
 
 pub(crate) fn start_relay() -> Relay {
     Relay::start_as(&configuration(true, 0), ADMIN.into(), |arguments| {
+        let relay = pnet_nat(arguments);
         let mut command = Command::new("unshare");
-        command.args(["--mount", "sh", "-c", FULL_DISK, env!("CARGO_BIN_EXE_pnet-nat")]);
-        command.args(arguments);
-        scrubbed(command)
+        command.args(["--mount", "sh", "-c", FULL_DISK]);
+        command.arg(relay.get_program()).args(relay.get_args());
+        command
     })
 }
 
@@ -176,7 +177,8 @@ impl<'a> Operator<'a> {
         if let Some(since) = self.withdrawn_since {
             let Clients { withdrawn_password, withdrawn_mapping, .. } = self.clients;
             for last in [withdrawn_password, withdrawn_mapping].map(|tally| tally.last_answer()) {
-                let late = last.map_or(Duration::ZERO, |last| last.saturating_duration_since(since));
+                let late =
+                    last.map_or(Duration::ZERO, |last| last.saturating_duration_since(since));
                 self.latest = self.latest.max(late);
             }
         }

@@ -110,12 +110,7 @@ struct Seen {
 }
 
 /// Disturbs until the time is over; tells what the relay took, and when something was withdrawn.
-fn go_on(
-    time: Duration,
-    relay: &Relay,
-    plant: &mut Plant<'_>,
-    clients: &Clients,
-) -> Seen {
+fn go_on(time: Duration, relay: &Relay, plant: &mut Plant<'_>, clients: &Clients) -> Seen {
     let (start, mut usage) = (Instant::now(), Usage::default());
     let (mut operator, mut at_last_restart) = (Operator::new(relay, clients), 0);
     for round in 1.. {

@@ -154,8 +154,7 @@ fn whole_lines(path: &Path, to_the_end: bool) -> Vec<Value> {
     assert!(!to_the_end || whole == text.len(), "{text}");
     let lines = text[..whole].lines();
     lines
-        .filter_map(|line| {
-            (line.starts_with('{') || to_the_end).then(|| serde_json::from_str(line).expect(line))
-        })
+        .filter(|line| line.starts_with('{') || to_the_end)
+        .map(|line| serde_json::from_str(line).expect(line))
         .collect()
 }

@@ -30,7 +30,7 @@ pub(crate) use octets::{
     DEVICE, FIGURE_10, PASSWORD, PASSWORDS, SECOND, WRONG, datagram, request, response,
 };
 pub(crate) use pcap::{frame, header, pcap, udp};
-pub(crate) use process::{Process, pnet_nat, pnet_nat_within, scrubbed};
+pub(crate) use process::{Process, pnet_nat, pnet_nat_within};
 pub(crate) use relay::{ANNOTATED, Place, Relay, Settings, folder};
 pub(crate) use site::{Peer, Site, close, exchange};
 pub(crate) use somebody::Somebody;

@@ -27,8 +27,7 @@ pub(crate) fn pnet_nat_within(descriptors: u64, arguments: &[&str]) -> Command {
     scrubbed(command)
 }
 
-/// A command without the program's options in its environment.
-pub(crate) fn scrubbed(mut command: Command) -> Command {
+fn scrubbed(mut command: Command) -> Command {
     for (name, _) in std::env::vars_os() {
         if name.to_string_lossy().starts_with("PNET_NAT_") {
             command.env_remove(name);
