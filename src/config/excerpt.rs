@@ -24,6 +24,11 @@ impl<'a> Lines<'a> {
         self.beginnings.partition_point(|&beginning| beginning <= offset.min(self.text.len()))
     }
 
+    /// How many lines there are.
+    pub(super) fn count(&self) -> usize {
+        self.beginnings.len()
+    }
+
     /// The text of a line, from 1, without its end.
     pub(super) fn text(&self, line: usize) -> &'a str {
         let (from, to) = (self.beginnings[line - 1], self.beginnings.get(line));
@@ -31,7 +36,7 @@ impl<'a> Lines<'a> {
     }
 
     /// The octets of the offset's line that stand before it.
-    pub(super) fn column(&self, offset: usize) -> usize {
+    fn column(&self, offset: usize) -> usize {
         let line = self.line(offset);
         let (beginning, text) = (self.beginnings[line - 1], self.text(line));
         let column = offset.saturating_sub(beginning).min(text.len());
@@ -44,7 +49,7 @@ impl<'a> Lines<'a> {
         // What would move the cursor takes one place, as every other character does.
         let shown = |c: char| match c {
             '\t' => ' ',
-            c if c.is_control() => '\u{fffd}',
+            c if c.is_control() || c == '\u{feff}' => '\u{fffd}',
             c => c,
         };
         let left_out = before.chars().count().saturating_sub(MOST_BESIDE);

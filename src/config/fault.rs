@@ -11,9 +11,12 @@ use std::fmt;
 use std::path::{Path, PathBuf};
 
 use super::excerpt::Lines;
+use super::syntax::Advice;
 
 /// So many faults are told, and as many warnings: enough to mend at a time.
-const MOST_TOLD: usize = 100;
+pub(super) const MOST_TOLD: usize = 100;
+/// What is wrong with a key that is left out.
+pub(super) const MISSING: &str = "missing";
 /// Of a text in the file, so many characters are shown.
 const MOST_SHOWN: usize = 100;
 
@@ -156,8 +159,9 @@ impl<'a> Report<'a> {
     }
 
     /// A text that is no TOML: the fault shows the place at this offset.
-    pub(super) fn syntax_fault(&self, offset: usize, problem: String, remedy: String) {
-        let place = Place { line: self.line(offset), key: String::new() };
+    pub(super) fn syntax_fault(&self, offset: usize, advice: Advice) {
+        let Advice { key, problem, remedy } = advice;
+        let place = Place { line: self.line(offset), key };
         let excerpt = Some(self.lines.excerpt(offset));
         let fault = Fault { excerpt, ..self.found(&place, problem, remedy) };
         self.faults.borrow_mut().note(fault, None);
@@ -215,6 +219,15 @@ pub(super) struct Unknown {
 }
 
 impl Unknown {
+    /// The path that the key has in the section above, where it belongs.
+    fn home(&self, path: &str, known: &BTreeMap<String, Vec<&'static str>>) -> Option<String> {
+        let (section, _) = path.rsplit_once('.')?;
+        let (above, _) = section.rsplit_once('.')?;
+        let header = self.header.trim_matches(['[', ']']).rsplit_once('.')?.0;
+        let keys = known.get(&format!("[[{header}]]"))?;
+        keys.contains(&self.name.as_str()).then(|| format!("{above}.{}", self.name))
+    }
+
     /// What to do when other sections have the key.
     fn remedy(&self, known: &BTreeMap<String, Vec<&'static str>>) -> Option<String> {
         let Self { name, header, line, is_close } = self;
@@ -259,6 +272,13 @@ impl Noted {
 
     fn told(mut self, kind: &str, known: &BTreeMap<String, Vec<&'static str>>) -> Vec<Fault> {
         self.keep_the_first();
+        // A key that stands in the wrong section is not missing: to add it would have it twice.
+        let misplaced: Vec<_> = self
+            .kept
+            .iter()
+            .filter_map(|(fault, unknown)| unknown.as_ref()?.home(&fault.key, known))
+            .collect();
+        self.kept.retain(|(fault, _)| fault.problem != MISSING || !misplaced.contains(&fault.key));
         let placed = |(fault, unknown): (Fault, Option<Unknown>)| match unknown
             .and_then(|unknown| unknown.remedy(known))
         {

@@ -19,6 +19,7 @@ mod overlap;
 mod restart;
 mod secret;
 mod section;
+mod syntax;
 #[cfg(test)]
 mod tests;
 mod token;
@@ -41,6 +42,7 @@ use file::FileError;
 use host::{Host, ThisHost};
 use net::Draft;
 use section::{Entry, LONGEST, Section};
+use syntax::{Advice, Syntax};
 
 pub(crate) use changes::runs;
 pub use changes::{Changes, NotInForce};
@@ -94,11 +96,25 @@ pub fn read_text(path: &Path) -> Result<String, Faults> {
             "name a configuration; 65,535 servers fit into less",
         ));
     }
+    if let Some(encoding) = utf_16(&octets) {
+        let remedy = format!("save the file as UTF-8; `iconv -f {encoding} -t UTF-8` converts it");
+        return Err(unreadable(Some(1), "is UTF-16 text".into(), &remedy));
+    }
     String::from_utf8(octets).map_err(|err| {
         let sound = &err.as_bytes()[..err.utf8_error().valid_up_to()];
         let line = 1 + sound.iter().filter(|&&octet| octet == b'\n').count();
         unreadable(Some(line), "not UTF-8 text".into(), "save the file as UTF-8")
     })
+}
+
+/// As some editors of Windows save a text: with a mark at its beginning, or every second octet zero.
+fn utf_16(octets: &[u8]) -> Option<&'static str> {
+    match octets {
+        [0xff, 0xfe, ..] | [0xfe, 0xff, ..] => Some("UTF-16"),
+        [first, 0, second, 0, ..] if *first != 0 && *second != 0 => Some("UTF-16LE"),
+        [0, first, 0, second, ..] if *first != 0 && *second != 0 => Some("UTF-16BE"),
+        _ => None,
+    }
 }
 
 /// Where the admin server listens, unless the configuration says otherwise.
@@ -162,16 +178,37 @@ fn parse_on(
 ) -> Result<(Config, Vec<Warning>), Faults> {
     let report = Report::new(path, text);
     let (document, errors) = DeTable::parse_recoverable(text);
-    for error in errors {
-        let offset = error.span().map_or(0, |span| span.start);
-        let problem = error.message().replace('\n', ", ");
-        let remedy = "correct the TOML; keys are checked once it can be read";
-        report.syntax_fault(offset, problem, remedy.into());
-    }
+    note_syntax(&report, &errors);
     // Values of a text that is only half understood would be judged wrongly.
     let root = || read(Section::root(document.get_ref(), &report), host, in_force);
     let config = report.is_sound().then(root).flatten();
     report.verdict(config)
+}
+
+/// Notes where the text is no TOML, and what to do where that can be told.
+fn note_syntax(report: &Report<'_>, errors: &[toml::de::Error]) {
+    if errors.is_empty() {
+        return;
+    }
+    let syntax = Syntax::of(&report.lines);
+    let mut advised = None;
+    for (number, error) in errors.iter().enumerate() {
+        let offset = error.span().map_or(0, |span| span.start);
+        let line = report.line(offset);
+        // What the parser makes of the rest of such a line helps nobody.
+        if advised.is_some_and(|advised| syntax.follows(line, advised)) {
+            continue;
+        }
+        let own = || syntax.advice(offset, error.message());
+        let own = (number < fault::MOST_TOLD).then(own).flatten();
+        advised = own.is_some().then_some(line).or(advised);
+        let as_parsed = || Advice {
+            key: String::new(),
+            problem: error.message().replace('\n', ", "),
+            remedy: "correct the TOML; keys are checked once it can be read".into(),
+        };
+        report.syntax_fault(offset, own.unwrap_or_else(as_parsed));
+    }
 }
 
 /// The configuration, unless a fault was noted.

@@ -12,7 +12,7 @@ use std::time::Duration;
 use toml::Spanned;
 use toml::de::{DeInteger, DeTable, DeValue};
 
-use super::fault::{Place, Report, Unknown, quoted, shortened};
+use super::fault::{MISSING, Place, Report, Unknown, quoted, shortened};
 
 /// The longest time a setting can name: far beyond use, and safe to add to a clock.
 pub(super) const LONGEST: Duration = Duration::from_secs(24 * 60 * 60);
@@ -120,7 +120,7 @@ impl<'a> Entry<'a> {
     /// Notes a fault when the key is left out.
     pub(super) fn required(self) -> Self {
         if self.is_absent() {
-            self.fault("missing", format!("add `{} = {}`", self.key, self.example));
+            self.fault(MISSING, format!("add `{} = {}`", self.key, self.example));
         }
         self
     }

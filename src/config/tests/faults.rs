@@ -26,8 +26,8 @@ fn refuses(cases: &[Case]) {
 #[test]
 fn refuses_what_is_no_toml_or_no_key() {
     refuses(&[
-        ("name = \"press\"", "name = press", 15, "", "TOML"),
-        ("node = 7", "node = 7\nnode = 8", 19, "", "duplicate key"),
+        ("name = \"press\"", "name = press", 15, "server[0].name", "in quotes"),
+        ("node = 7", "node = 7\nnode = 8", 19, "server[0].node", "already in line 18"),
         (
             "subnet =",
             "sub_net = 1\nsubnet =",

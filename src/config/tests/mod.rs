@@ -7,6 +7,7 @@ mod faults;
 mod host;
 mod reference;
 mod size;
+mod syntax;
 
 use std::fs::{self, Permissions};
 use std::os::unix::fs::{PermissionsExt, symlink};
