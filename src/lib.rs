@@ -8,6 +8,7 @@
 pub mod admin;
 pub mod cli;
 pub mod config;
+mod harmless;
 pub mod log;
 pub mod metrics;
 pub mod net;

@@ -6,7 +6,7 @@ use std::process::ExitCode;
 use std::time::Duration;
 
 use super::agent;
-use super::harmless::harmless;
+use crate::harmless::harmless;
 
 /// Ask a running relay whether it is ready: exit 0 when it is, else 1 and a line that says why.
 #[derive(Debug, clap::Args)]

@@ -17,6 +17,7 @@ use ureq::Agent;
 use super::agent;
 use super::status::bearer;
 use crate::config;
+use crate::harmless::harmless_lines;
 
 /// How long one answer may take. The reload itself may take longer.
 const ANSWER_TIME: Duration = Duration::from_secs(5);
@@ -28,7 +29,7 @@ const PAUSE: Duration = Duration::from_millis(50);
 /// With --pid it sends SIGHUP, else it asks the admin server, where [admin] reload = true allows it.
 /// The verdict comes from the admin server in both cases.
 #[derive(Debug, clap::Args)]
-#[command(after_help = "Example:  pnet-nat reload --pid $(pidof pnet-nat)\n\
+#[command(after_help = "Example:  pnet-nat reload --config /etc/pnet-nat/pnet-nat.toml\n\
     Exit codes: 0 all of it is in force; 1 it is not, or nobody knows.")]
 pub(super) struct Args {
     /// The process of the relay.
@@ -65,10 +66,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<ExitCode> {
         Some(pid) => signal(pid, relay, args.timeout)?,
         None => relay?.post(args.timeout)?,
     };
-    // Text from outside does nothing to the terminal.
-    let harmless = |c: &char| *c == '\n' || !c.is_control();
-    let text: String = verdict.text.chars().filter(harmless).collect();
-    stdout().write_all(text.as_bytes())?;
+    stdout().write_all(harmless_lines(&verdict.text).as_bytes())?;
     Ok(if verdict.successful { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
 

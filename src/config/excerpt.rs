@@ -3,6 +3,8 @@
 //! The beginnings of all lines are found once, so that each key costs a search among them and not
 //! a walk through the text.
 
+use crate::harmless::is_harmful;
+
 /// A line is shown so far to either side of the place that matters.
 const MOST_BESIDE: usize = 60;
 
@@ -49,7 +51,7 @@ impl<'a> Lines<'a> {
         // What would move the cursor takes one place, as every other character does.
         let shown = |c: char| match c {
             '\t' => ' ',
-            c if c.is_control() || c == '\u{feff}' => '\u{fffd}',
+            c if is_harmful(c) => '\u{fffd}',
             c => c,
         };
         let left_out = before.chars().count().saturating_sub(MOST_BESIDE);

@@ -12,6 +12,7 @@ use std::path::{Path, PathBuf};
 
 use super::excerpt::Lines;
 use super::syntax::Advice;
+use crate::harmless::harmless;
 
 /// So many faults are told, and as many warnings: enough to mend at a time.
 pub(super) const MOST_TOLD: usize = 100;
@@ -42,12 +43,12 @@ pub struct Fault {
 
 impl fmt::Display for Fault {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}:", self.file.display())?;
+        write!(f, "{}:", harmless(&self.file.display().to_string()))?;
         if let Some(line) = self.line {
             write!(f, "{line}:")?;
         }
         if !self.key.is_empty() {
-            write!(f, " {}:", self.key)?;
+            write!(f, " {}:", harmless(&self.key))?;
         }
         write!(f, " {}; {}", self.problem, self.remedy)
     }

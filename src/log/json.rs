@@ -13,6 +13,7 @@ use tracing_subscriber::fmt::{FmtContext, FormatEvent, FormatFields};
 use tracing_subscriber::registry::LookupSpan;
 
 use super::List;
+use crate::harmless::harmless_json;
 
 /// Writes events so.
 pub(super) struct Json;
@@ -49,6 +50,7 @@ impl Fields<'_, '_> {
     fn add(&mut self, name: &str, value: impl Serialize) {
         // A number that JSON has no word for, such as NaN, is null.
         let value = serde_json::to_string(&value).unwrap_or_else(|_| "null".to_owned());
+        let value = harmless_json(&value);
         self.outcome = self.outcome.and_then(|()| write!(self.line, ",\"{name}\":{value}"));
     }
 }

@@ -7,6 +7,7 @@
 mod json;
 mod noise;
 mod queue;
+mod text;
 
 use std::borrow::Cow;
 use std::error::Error;
@@ -21,6 +22,7 @@ use tracing::{Level, Metadata};
 use tracing_subscriber::fmt::MakeWriter;
 
 use crate::config::Faults;
+use crate::harmless::harmless_lines;
 use crate::reload::log_faults;
 use crate::thread::ThreadError;
 
@@ -85,7 +87,8 @@ pub fn init(format: LogFormat, level: LogLevel, service: bool) {
     if json {
         events.event_format(Json).init();
     } else {
-        events.with_target(false).with_ansi(terminal && !no_color()).init();
+        let colour = terminal && !no_color();
+        events.fmt_fields(text::fields()).with_target(false).with_ansi(colour).init();
     }
 }
 
@@ -111,7 +114,7 @@ pub fn complain(message: impl Display) {
     if COMPLAINS_IN_JSON.load(Relaxed) {
         tracing::error!(error = message.trim_start_matches("pnet-nat: ").trim_end(), "failed");
     } else {
-        LOG.push(Line::of(message + "\n"));
+        LOG.push(Line::of(harmless_lines(&message) + "\n"));
     }
 }
 
@@ -186,17 +189,33 @@ mod tests {
     use std::sync::{Arc, Mutex};
 
     use serde_json::{Value, json};
+    use tracing::Subscriber;
+    use tracing::level_filters::LevelFilter;
+    use tracing_subscriber::fmt::SubscriberBuilder;
+    use tracing_subscriber::fmt::format::{DefaultFields, Format};
 
     use super::*;
 
-    /// What `log` logs, as JSON without its times.
-    pub(super) fn logged(log: impl FnOnce()) -> Vec<Value> {
+    type Events<W> = SubscriberBuilder<DefaultFields, Format, LevelFilter, W>;
+
+    /// What `log` writes to the subscriber that `build` makes.
+    pub(super) fn written<S>(
+        build: impl FnOnce(Events<Box<dyn Fn() -> Written + Send + Sync>>) -> S,
+        log: impl FnOnce(),
+    ) -> String
+    where
+        S: Subscriber + Send + Sync + 'static,
+    {
         let written = Arc::new(Mutex::new(Vec::new()));
         let writer = written.clone();
-        let writer = move || Written(writer.clone());
-        let events = tracing_subscriber::fmt().event_format(Json).with_writer(writer).finish();
+        let writer = Box::new(move || Written(writer.clone())) as Box<dyn Fn() -> _ + Send + Sync>;
+        let events = build(tracing_subscriber::fmt().with_writer(writer));
         tracing::subscriber::with_default(events, log);
-        let written = String::from_utf8(written.lock().unwrap().clone()).unwrap();
+        String::from_utf8(written.lock().unwrap().clone()).unwrap()
+    }
+
+    /// What `log` logs, as JSON without its times.
+    pub(super) fn logged(log: impl FnOnce()) -> Vec<Value> {
         let line = |line| {
             let mut line: Value = serde_json::from_str(line).unwrap();
             let time = line.as_object_mut().unwrap().remove("timestamp").unwrap();
@@ -205,10 +224,10 @@ mod tests {
             line.as_object_mut().unwrap().remove("target").unwrap();
             line
         };
-        written.lines().map(line).collect()
+        written(|events| events.event_format(Json).finish(), log).lines().map(line).collect()
     }
 
-    struct Written(Arc<Mutex<Vec<u8>>>);
+    pub(super) struct Written(Arc<Mutex<Vec<u8>>>);
 
     impl io::Write for Written {
         fn write(&mut self, octets: &[u8]) -> io::Result<usize> {

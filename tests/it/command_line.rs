@@ -289,3 +289,32 @@ fn a_level_that_would_say_no_more_is_not_offered() {
         assert!(said.contains(level) && said.contains("error, warn, info"), "{said}");
     }
 }
+
+/// A name of a file comes from outside as well.
+#[test]
+fn no_complaint_does_anything_to_a_terminal() {
+    let folder = tempfile::tempdir().unwrap();
+    let name = "\x1b]0;title\x07\u{9b}31m\u{202e}\rforged";
+    let absent = folder.path().join(name).join("absent.toml");
+    let bad = folder.path().join(name);
+    fs::write(&bad, format!("\"{}\" = 1\n", "a\\u001b[2J\\nforged")).unwrap();
+    let (absent, bad) = (absent.to_str().unwrap(), bad.to_str().unwrap());
+    for arguments in [
+        &["check", "--config", absent][..],
+        &["check", "--config", bad],
+        &["run", "--config", bad],
+        &["--log-format", "text", "run", "--config", absent],
+        &["--log-format", "json", "run", "--config", bad],
+        &["decode", absent],
+    ] {
+        let mut process = Process::start(pnet_nat(arguments));
+        assert_ne!(process.end(), Some(0), "{arguments:?}");
+        let said = process.stdout() + &process.stderr();
+        assert!(said.contains("forged"), "{arguments:?}: {said:?}");
+        let is_harmful = |c: char| c != '\n' && (c.is_control() || c == '\u{202e}');
+        assert!(
+            !said.contains(is_harmful) && !said.contains("\nforged"),
+            "{arguments:?}: {said:?}"
+        );
+    }
+}

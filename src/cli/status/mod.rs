@@ -19,10 +19,10 @@ use terminal_size::{Height, Width, terminal_size_of};
 use ureq::Agent;
 
 use super::agent;
-use super::harmless::{harmless, harmless_json, harmless_value};
 use super::output::{Format, Paint};
 use super::signals::Signals;
 use crate::config::Token;
+use crate::harmless::{harmless, harmless_json, harmless_value};
 use crate::log::no_color;
 
 use seen::Seen;
@@ -96,7 +96,7 @@ pub(super) fn run(args: Args) -> anyhow::Result<ExitCode> {
     let relay = Relay::new(&args)?;
     let Some(interval) = args.watch else {
         let text = match args.format {
-            Format::Json => format!("{}\n", harmless_json(&relay.ask()?)),
+            Format::Json => format!("{}\n", harmless_json(&relay.ask()?.to_string())),
             Format::Text => paper(args.full).draw(&relay.read(relay.ask()?)?, None, &relay.url),
         };
         stdout().write_all(text.as_bytes())?;
@@ -121,7 +121,7 @@ async fn watch(args: &Args, relay: Arc<Relay>, interval: Duration) -> anyhow::Re
             _ = signals.next() => return Ok(ExitCode::SUCCESS),
         };
         let text = match (answer, args.format) {
-            (Ok(answer), Format::Json) => format!("{}\n", harmless_json(&answer)),
+            (Ok(answer), Format::Json) => format!("{}\n", harmless_json(&answer.to_string())),
             (Ok(answer), Format::Text) => {
                 let seen = relay.read(answer)?;
                 let earlier = before.as_ref().map(|(then, seen)| (now - *then, seen));
@@ -130,7 +130,10 @@ async fn watch(args: &Args, relay: Arc<Relay>, interval: Duration) -> anyhow::Re
                 text
             }
             (Err(error), Format::Json) => {
-                format!("{}\n", harmless_json(&json!({ "error": format!("{error:#}") })))
+                format!(
+                    "{}\n",
+                    harmless_json(&json!({ "error": format!("{error:#}") }).to_string())
+                )
             }
             (Err(error), Format::Text) => {
                 format!("pnet-nat: {}\n", harmless(&format!("{error:#}")))

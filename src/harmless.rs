@@ -1,12 +1,12 @@
-//! Text from outside, made harmless before a terminal gets it: what another server answers may hold
-//! escape sequences, line breaks, or marks that turn the order of letters around.
+//! Text from outside, made harmless before a terminal gets it: what another server answers, a name or
+//! an error may hold escape sequences, line breaks, or marks that turn the order of letters around.
 
 use std::fmt::Write;
 
 use serde_json::Value;
 
 /// Whether a character does something to a terminal, or to how the others are read.
-fn is_harmful(c: char) -> bool {
+pub(crate) fn is_harmful(c: char) -> bool {
     c.is_control()
         || matches!(
             c,
@@ -23,7 +23,7 @@ fn is_harmful(c: char) -> bool {
 }
 
 /// The text with each such character written out, as `\u{1b}`.
-pub(super) fn harmless(text: &str) -> String {
+pub(crate) fn harmless(text: &str) -> String {
     let mut harmless = String::with_capacity(text.len());
     for c in text.chars() {
         if is_harmful(c) {
@@ -36,12 +36,12 @@ pub(super) fn harmless(text: &str) -> String {
 }
 
 /// The same of a text of several lines.
-pub(super) fn harmless_lines(text: &str) -> String {
+pub(crate) fn harmless_lines(text: &str) -> String {
     text.split('\n').map(harmless).collect::<Vec<_>>().join("\n")
 }
 
 /// The same of all names and texts in a value.
-pub(super) fn harmless_value(value: Value) -> Value {
+pub(crate) fn harmless_value(value: Value) -> Value {
     match value {
         Value::String(text) => harmless(&text).into(),
         Value::Array(list) => list.into_iter().map(harmless_value).collect(),
@@ -53,9 +53,9 @@ pub(super) fn harmless_value(value: Value) -> Value {
 }
 
 /// JSON that says the same, with such characters in JSON's own writing.
-pub(super) fn harmless_json(value: &Value) -> String {
-    let mut harmless = String::new();
-    for c in value.to_string().chars() {
+pub(crate) fn harmless_json(json: &str) -> String {
+    let mut harmless = String::with_capacity(json.len());
+    for c in json.chars() {
         if is_harmful(c) {
             for unit in c.encode_utf16(&mut [0; 2]) {
                 let _ = write!(harmless, "\\u{unit:04x}");
@@ -93,7 +93,7 @@ mod tests {
             assert!(!shown.chars().any(is_harmful), "{shown:?}");
             assert!(shown.starts_with("a\\u{") && shown.ends_with("é 中"), "{shown:?}");
             let value = json!({ &text: [&text, 7, null] });
-            let json = harmless_json(&value);
+            let json = harmless_json(&value.to_string());
             assert!(!json.chars().any(is_harmful), "{json:?}");
             assert_eq!(serde_json::from_str::<Value>(&json).unwrap(), value);
             assert_eq!(harmless_value(value), json!({ &shown: [&shown, 7, null] }));
