@@ -5,7 +5,7 @@ use std::io::{Write, stdout};
 use std::process::ExitCode;
 use std::time::Duration;
 
-use super::agent;
+use super::agent::agent;
 use crate::harmless::harmless;
 
 /// Ask a running relay whether it is ready: exit 0 when it is, else 1 and a line that says why.

@@ -3,6 +3,7 @@
 //! Exit codes: 0 done, 1 failed at run time, 2 bad command line or configuration, 75 not started, but
 //! another try may succeed.
 
+mod agent;
 mod check;
 mod decode;
 mod demo;
@@ -19,11 +20,9 @@ mod status;
 use std::io::{self, ErrorKind};
 use std::path::Path;
 use std::process::ExitCode;
-use std::time::Duration;
 
 use anyhow::anyhow;
 use clap::{Parser, Subcommand};
-use ureq::Agent;
 
 use crate::config::{self, Config, Faults, Warning};
 use crate::log::{self, LogFormat, LogLevel, complain};
@@ -149,15 +148,4 @@ fn told<T>(read: Result<T, Faults>) -> Result<T, ExitCode> {
 /// The password in a file: a value parser of options.
 fn password_file(path: &str) -> anyhow::Result<Password> {
     config::read_password(path.into()).map_err(|error| anyhow!("{error}; {}", error.remedy()))
-}
-
-/// Asks a relay's admin server straight: neither proxies of the environment nor redirects.
-fn agent(timeout: Duration) -> Agent {
-    Agent::config_builder()
-        .timeout_global(Some(timeout))
-        .http_status_as_error(false)
-        .max_redirects(0)
-        .proxy(None)
-        .build()
-        .into()
 }

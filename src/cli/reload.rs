@@ -14,7 +14,7 @@ use nix::unistd::Pid;
 use serde_json::Value;
 use ureq::Agent;
 
-use super::agent;
+use super::agent::agent;
 use super::status::bearer;
 use crate::config;
 use crate::harmless::harmless_lines;

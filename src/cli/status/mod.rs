@@ -9,21 +9,23 @@ use std::fs;
 use std::io::{self, IsTerminal, Write, stdout};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
-use std::sync::Arc;
+use std::sync::{Arc, mpsc};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, anyhow, bail};
 use clap::builder::BoolishValueParser;
 use serde_json::{Map, Value, json};
 use terminal_size::{Height, Width, terminal_size_of};
+use tokio::sync::oneshot;
 use ureq::Agent;
 
-use super::agent;
+use super::agent::agent;
 use super::output::{Format, Paint};
 use super::signals::Signals;
 use crate::config::Token;
 use crate::harmless::{harmless, harmless_json, harmless_value};
 use crate::log::no_color;
+use crate::thread::{self, ThreadError};
 
 use seen::Seen;
 use table::Paper;
@@ -103,21 +105,21 @@ pub(super) fn run(args: Args) -> anyhow::Result<ExitCode> {
         return Ok(ExitCode::SUCCESS);
     };
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
-    let outcome = runtime.block_on(watch(&args, relay.into(), interval));
-    // A thread of the runtime may still wait for an answer: leave it there.
-    runtime.shutdown_background();
-    outcome
+    runtime.block_on(watch(&args, relay.into(), interval))
 }
 
 /// A relay that does not answer now may do so again: that is shown, and is no end.
 async fn watch(args: &Args, relay: Arc<Relay>, interval: Duration) -> anyhow::Result<ExitCode> {
     let mut signals = Signals::new()?;
+    let asking = asking(Arc::clone(&relay))?;
     let mut before: Option<(Instant, Seen)> = None;
     loop {
         let now = Instant::now();
-        let asked = Arc::clone(&relay);
+        let (reply, answer) = oneshot::channel();
+        // A thread that is gone drops the reply.
+        let _ = asking.send(reply);
         let answer = tokio::select! {
-            answer = tokio::task::spawn_blocking(move || asked.ask()) => answer?,
+            answer = answer => answer?,
             _ = signals.next() => return Ok(ExitCode::SUCCESS),
         };
         let text = match (answer, args.format) {
@@ -146,6 +148,21 @@ async fn watch(args: &Args, relay: Arc<Relay>, interval: Duration) -> anyhow::Re
         }
     }
 }
+
+/// Asks when it is told to, in a thread of its own: a signal is heeded while nobody answers.
+fn asking(relay: Arc<Relay>) -> Result<mpsc::Sender<Reply>, ThreadError> {
+    let (asking, replies) = mpsc::channel::<Reply>();
+    thread::start("ask", move || {
+        for reply in replies {
+            // Who asked may have gone; then nobody wants to know.
+            let _ = reply.send(relay.ask());
+        }
+    })?;
+    Ok(asking)
+}
+
+/// Where an answer goes.
+type Reply = oneshot::Sender<anyhow::Result<Value>>;
 
 /// Shows a table in place of the one before it, as far as the terminal has room.
 fn show(text: &str, format: Format) -> io::Result<()> {

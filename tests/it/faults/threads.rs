@@ -72,3 +72,40 @@ fn no_thread_left_at_the_start() {
         assert!(!said.contains("panicked"), "{most} threads: {said}");
     }
 }
+
+/// Commands that ask a relay are carried out without, or say what they lack.
+#[test]
+fn no_thread_left_for_who_asks() {
+    let Some(somebody) = Somebody::new() else { return };
+    let site = Site::claim();
+    let _relay = site.relay(Settings::default());
+    let url = format!("http://{}", site.admin());
+    let asks = |threads, arguments: &[&str]| {
+        let mut process = Process::start(somebody.pnet_nat(Some(threads), arguments));
+        (process.end(), process.stdout(), process.stderr())
+    };
+    let (code, _, said) = asks(1, &["healthcheck", "--url", &format!("{url}/-/ready")]);
+    assert_eq!(code, Some(0), "{said}");
+    let (code, shown, said) = asks(1, &["status", "--url", &url]);
+    assert_eq!(code, Some(0), "{said}");
+    assert!(shown.contains("section-1"), "{shown}");
+    // A label is 63 letters at most: no name server is asked for that one.
+    for host in ["localhost".to_owned(), "a".repeat(64) + ".example"] {
+        let nobody = format!("http://{host}:1/");
+        let (code, why, said) = asks(1, &["healthcheck", "--url", &nobody]);
+        assert_eq!((code, said.as_str()), (Some(1), ""), "{host}");
+        assert!(why.starts_with("not ready: "), "{why}");
+        let (code, _, said) = asks(1, &["reload", "--url", &nobody]);
+        assert_eq!(code, Some(1), "{said}");
+        assert!(said.contains("no answer from"), "{said}");
+    }
+
+    let watch = ["status", "--url", &url, "--watch"];
+    let (code, _, said) = asks(1, &watch);
+    assert_eq!(code, Some(1), "{said}");
+    assert!(said.contains("cannot start the thread") && !said.contains("panicked"), "{said}");
+    let mut watching = Process::start(somebody.pnet_nat(Some(2), &watch));
+    eventually("it shows the relay", || watching.stdout().contains("section-1").then_some(()));
+    watching.signal(Signal::SIGINT);
+    assert_eq!(watching.end(), Some(0), "{}", watching.stderr());
+}
