@@ -9,7 +9,7 @@ use tracing::warn;
 
 use crate::metrics::totals::NodeTotals;
 use crate::net::{InForce, Router};
-use crate::relay::{Direction, DropReason, MappingId, NetId, SourceSketch, Table};
+use crate::relay::{Direction, DropReason, LastSender, MappingId, NetId, SourceSketch, Table};
 
 /// Reports dropped datagrams: a line for each net and reason at the end of the first window that has
 /// some, and as long as it goes on one every ten minutes, with the sum. Its windows are those of the
@@ -115,16 +115,22 @@ fn line(in_force: &InForce, net: NetId, reason: DropReason, count: u64, window: 
     let estimate = SourceSketch::take_estimate(sketches);
     // The estimate may be off, but not beyond what is certain.
     let sources = u64::from(estimate).clamp(1, count);
-    let from = match sources {
-        1 => "1 source".to_owned(),
+    let senders = in_force.counters.iter().map(|worker| worker.net(net).last_sender(reason));
+    let last_sender = LastSender::latest(senders);
+    let from = match (sources, last_sender) {
+        (1, Some(sender)) => sender.to_string(),
+        (1, None) => "1 source".to_owned(),
         _ if estimate == SourceSketch::MOST => format!("{sources} sources or more"),
         _ => format!("{sources} sources"),
     };
+    let last = last_sender.filter(|_| sources > 1);
+    let last = last.map(|sender| format!(", the last one {sender}")).unwrap_or_default();
     let net = &in_force.config.table.net(net).name;
     let (what, seconds) = (reason.counted(count), window.as_secs_f64().ceil());
     warn!(
         %net, reason = %reason.label(), count, sources,
-        "{what} from {from} in {seconds} s"
+        last_sender = last_sender.map(tracing::field::display),
+        "{what} from {from} in {seconds} s{last}"
     );
 }
 
@@ -159,6 +165,8 @@ fn carried_over<T: Copy + Default>(figures: &[T], old: &Table, new: &Table) -> V
 
 #[cfg(test)]
 mod tests {
+    use std::net::Ipv4Addr;
+
     use serde_json::{Value, json};
 
     use super::*;
@@ -171,10 +179,12 @@ mod tests {
     }
 
     fn drop_some(router: &Router, reason: DropReason, sources: impl Iterator<Item = u64>) {
-        for (source, worker) in sources.zip(router.in_force().counters.iter().cycle()) {
+        let in_force = router.in_force();
+        for ((source, worker), now) in sources.zip(in_force.counters.iter().cycle()).zip(1..) {
+            let sender = Ipv4Addr::from([198, 51, 100, source as u8]).into();
             let node = worker.node(if source % 2 == 0 { NODE_1 } else { NODE_33 });
             node.direction(Direction::Request).dropped(reason).add(1);
-            worker.net(SECTION).sources(reason).note(source);
+            worker.net(SECTION).note_source(reason, now, sender, source);
         }
     }
 
@@ -192,11 +202,14 @@ mod tests {
             [
                 json!({
                     "level": "WARN", "net": "section-1", "reason": "too_short", "count": 1,
-                    "sources": 1, "message": "1 datagram too short from 1 source in 10 s",
+                    "sources": 1, "last_sender": "198.51.100.232",
+                    "message": "1 datagram too short from 198.51.100.232 in 10 s",
                 }),
                 json!({
                     "level": "WARN", "net": "section-1", "reason": "password_wrong", "count": 37,
-                    "sources": 5, "message": "37 wrong passwords from 5 sources in 10 s",
+                    "sources": 5, "last_sender": "198.51.100.1",
+                    "message":
+                        "37 wrong passwords from 5 sources in 10 s, the last one 198.51.100.1",
                 }),
             ]
         );
@@ -215,7 +228,7 @@ mod tests {
         lines.extend(logged(|| noise.report(Duration::ZERO, true)));
         let counts: Vec<_> = lines.iter().map(|line| line["count"].as_u64().unwrap()).collect();
         assert_eq!(counts, [1, 60, 23], "{lines:?}");
-        assert_eq!(lines[1]["message"], "60 wrong passwords from 1 source in 600 s");
+        assert_eq!(lines[1]["message"], "60 wrong passwords from 198.51.100.7 in 600 s");
 
         for _ in 0..60 {
             assert_eq!(report(&mut noise), Vec::<Value>::new(), "a pause");
@@ -261,7 +274,8 @@ mod tests {
         drop_some(&router, DropReason::BadHeader, 0..20_000);
         let lines = report(&mut noise);
         assert_eq!(lines.len(), 1);
-        let expected = "20000 wrong headers from 7098 sources or more in 10 s";
+        let expected =
+            "20000 wrong headers from 7098 sources or more in 10 s, the last one 198.51.100.31";
         assert_eq!(lines[0]["message"], expected);
     }
 

@@ -123,13 +123,13 @@ impl Core {
         octets: &mut [u8],
         shell: &mut impl Shell,
     ) -> Result<ToServer, DropReason> {
-        let verdict = self.judge_request(self.nanos(now), arrival, octets, shell);
+        let now = self.nanos(now);
+        let verdict = self.judge_request(now, arrival, octets, shell);
         let node = self.counters.node(arrival.mapping).direction(Direction::Request);
         node.received.add(1);
         if let Err(reason) = verdict {
             node.dropped(reason).add(1);
-            let net = self.counters.net(self.rules.table.mapping(arrival.mapping).net);
-            net.note_source(reason, SOURCE_HASH.hash_one(arrival.client.ip()));
+            self.note_source(reason, now, arrival.mapping, arrival.client.ip());
         }
         verdict
     }
@@ -159,8 +159,17 @@ impl Core {
         node.received.add(1);
         if let Err(reason) = verdict {
             node.dropped(reason).add(1);
+            if let Some(mapping) = mapping {
+                self.note_source(reason, self.nanos(now), mapping, server.ip());
+            }
         }
         verdict
+    }
+
+    #[inline]
+    fn note_source(&self, reason: DropReason, now: Nanos, mapping: MappingId, sender: IpAddr) {
+        let net = self.counters.net(self.rules.table.mapping(mapping).net);
+        net.note_source(reason, now, sender, SOURCE_HASH.hash_one(sender));
     }
 
     /// Counts a request that the system took. What it `asks` is due from here on: a node is silent

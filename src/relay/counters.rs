@@ -6,9 +6,12 @@
 
 use std::collections::HashMap;
 use std::hash::Hash;
+use std::net::IpAddr;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 
+use super::flow::Nanos;
+use super::last_sender::LastSender;
 use super::reason::{CloseReason, Direction, DropReason};
 use super::response_times::ResponseTimes;
 use super::sketch::SourceSketch;
@@ -117,13 +120,17 @@ pub struct NetCounters {
     pub flows_opened: Counter,
     flows_closed: [Counter; CloseReason::ALL.len()],
     sources: [SourceSketch; DropReason::COUNT],
+    last_senders: [LastSender; DropReason::COUNT],
     /// Who sent wrong passwords since the start: hashes as in [`sources`](Self::sources).
     pub wrong_password_sources: SourceSketch,
 }
 
 impl NetCounters {
-    pub(super) fn note_source(&self, reason: DropReason, hash: u64) {
+    /// Notes who sent a datagram that was dropped, and the address as a hash. Called by the one
+    /// writer only.
+    pub fn note_source(&self, reason: DropReason, now: Nanos, sender: IpAddr, hash: u64) {
         self.sources(reason).note(hash);
+        self.last_sender(reason).note(now, sender);
         if reason == DropReason::PasswordWrong {
             self.wrong_password_sources.note(hash);
         }
@@ -138,6 +145,11 @@ impl NetCounters {
     /// hash of the sender's address without its port.
     pub fn sources(&self, reason: DropReason) -> &SourceSketch {
         &self.sources[reason as usize]
+    }
+
+    /// Who sent the last datagram that was dropped for this reason.
+    pub fn last_sender(&self, reason: DropReason) -> &LastSender {
+        &self.last_senders[reason as usize]
     }
 }
 

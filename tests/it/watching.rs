@@ -26,6 +26,10 @@ fn wrong_passwords_make_one_line() {
     assert!(message.starts_with("37 wrong passwords from 5 sources in "), "{message}");
     assert_eq!((&line["level"], &line["net"]), (&json!("WARN"), &json!("section-1")));
     assert_eq!((&line["count"], &line["sources"]), (&json!(37), &json!(5)));
+    let senders = strangers.iter().map(|stranger| json!(stranger.address().ip()));
+    let last = &line["last_sender"];
+    assert!(senders.into_iter().any(|sender| sender == *last), "{line}");
+    assert!(message.ends_with(&format!(", the last one {}", last.as_str().unwrap())), "{message}");
 }
 
 /// N-10, RFC 6888 REQ-12.
