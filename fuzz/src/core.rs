@@ -14,7 +14,7 @@ use std::time::{Duration, Instant};
 
 use pnet_nat::relay::{
     Arrival, Chance, CloseReason, Core, Counters, Credential, Direction, DropReason, FlowRecord,
-    ListenerId, Mapping, MappingId, Rules, Shell, Succession, Table, Throttled, ToClient,
+    ListenerId, Mapping, MappingId, NetId, Rules, Shell, Succession, Table, Throttled, ToClient,
     Transition, UpstreamId,
 };
 use pnet_nat::wire::{BNA, Datagram, Header, Password};
@@ -79,7 +79,7 @@ struct Sockets {
 }
 
 impl Shell for Sockets {
-    fn open_upstream(&mut self, id: UpstreamId, ipv4: bool) -> Option<u16> {
+    fn open_upstream(&mut self, id: UpstreamId, _: NetId, ipv4: bool) -> Option<u16> {
         assert!(ipv4 && !self.ports.contains_key(&id), "opened twice");
         if self.ports.len() >= self.limit {
             return None;

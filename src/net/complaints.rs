@@ -4,14 +4,17 @@ use std::collections::HashMap;
 use std::io;
 use std::time::{Duration, Instant};
 
+use crate::relay::{NetId, Table};
+
 /// How long nothing more is told.
 const INTERVAL: Duration = Duration::from_secs(10);
 
-/// What is told of: each sentence is a fact of its own with each error of the system.
-type Fact = (&'static str, Option<i32>);
+/// What is told of: each sentence is a fact of its own with each error of the system, and in each net
+/// that it concerns.
+type Fact = (&'static str, Option<i32>, Option<NetId>);
 
 /// Errors of the system, each told at most every ten seconds: a broken network is one fact, not a
-/// thousand lines.
+/// thousand lines. Nets are those of one table: with another, there have to be new ones.
 #[derive(Debug, Default)]
 pub(super) struct Complaints {
     /// When each was told last. A sentence has few errors.
@@ -19,16 +22,29 @@ pub(super) struct Complaints {
 }
 
 impl Complaints {
-    /// Tells of an error, if it was not told of lately.
+    /// Tells of an error that is no net's, if it was not told of lately.
     pub(super) fn note(&mut self, error: &io::Error, what: &'static str) {
-        if self.is_due(Instant::now(), (what, error.raw_os_error())) {
+        if self.is_due(Instant::now(), (what, error.raw_os_error(), None)) {
             tracing::warn!(%error, "{what}");
+        }
+    }
+
+    /// Tells of an error that concerns a net of this table, likewise.
+    pub(super) fn note_of(
+        &mut self,
+        net: NetId,
+        table: &Table,
+        error: &io::Error,
+        what: &'static str,
+    ) {
+        if self.is_due(Instant::now(), (what, error.raw_os_error(), Some(net))) {
+            tracing::warn!(net = table.net(net).name, %error, "{what}");
         }
     }
 
     /// Whether this may be told now.
     pub(super) fn due(&mut self, now: Instant, what: &'static str) -> bool {
-        self.is_due(now, (what, None))
+        self.is_due(now, (what, None, None))
     }
 
     fn is_due(&mut self, now: Instant, fact: Fact) -> bool {
@@ -48,10 +64,13 @@ mod tests {
     fn each_fact_has_its_own_turn() {
         let mut complaints = Complaints::default();
         let now = Instant::now();
-        assert!(complaints.is_due(now, ("send", Some(libc::ENETUNREACH))));
-        assert!(!complaints.is_due(now, ("send", Some(libc::ENETUNREACH))));
-        assert!(complaints.is_due(now, ("send", Some(libc::EPERM))), "another error");
+        let fact = |error, net| ("send", Some(error), Some(NetId(net)));
+        assert!(complaints.is_due(now, fact(libc::ENETUNREACH, 0)));
+        assert!(!complaints.is_due(now, fact(libc::ENETUNREACH, 0)));
+        assert!(complaints.is_due(now, fact(libc::EPERM, 0)), "another error");
+        assert!(complaints.is_due(now, fact(libc::ENETUNREACH, 1)), "another net");
+        assert!(!complaints.is_due(now, fact(libc::ENETUNREACH, 1)));
         assert!(complaints.due(now, "flood"));
-        assert!(complaints.is_due(now + INTERVAL, ("send", Some(libc::ENETUNREACH))));
+        assert!(complaints.is_due(now + INTERVAL, fact(libc::ENETUNREACH, 0)));
     }
 }

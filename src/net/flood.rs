@@ -131,7 +131,12 @@ impl FloodGuard {
         let Some(may_turn_on) = self.may_turn_on.checked_sub(1) else { return };
         self.may_turn_on = may_turn_on;
         if let Err(error) = public.filter(true, &self.table) {
-            return self.complaints.note(&error, "cannot turn the prefilter on");
+            return self.complaints.note_of(
+                public.net,
+                &self.table,
+                &error,
+                "cannot turn the prefilter on",
+            );
         }
         self.filtered += 1;
         self.sockets[id.0 as usize].by = Some(by);
@@ -187,7 +192,10 @@ impl FloodGuard {
                     flood.filtered -= 1;
                     self.filtered -= 1;
                 }
-                Err(error) => self.complaints.note(&error, "cannot turn the prefilter off"),
+                Err(error) => {
+                    let what = "cannot turn the prefilter off";
+                    self.complaints.note_of(public.net, &self.table, &error, what);
+                }
             }
         }
         self.next = Some(end);
@@ -225,6 +233,7 @@ impl FloodGuard {
         before: &Listeners,
         after: &Listeners,
     ) {
+        self.complaints = Complaints::default();
         self.sockets.resize_with(after.places(), Watched::default);
         self.nets = table.nets().iter().map(|_| Flood::default()).collect();
         self.worker = Flood::default();
@@ -246,7 +255,7 @@ impl FloodGuard {
                 continue;
             }
             if let Err(error) = public.filter(filter, &table) {
-                self.complaints.note(&error, "cannot change the prefilter");
+                self.complaints.note_of(public.net, &table, &error, "cannot change the prefilter");
                 let _ = public.filter(false, &table);
             }
         }

@@ -15,7 +15,7 @@ use nix::sys::epoll::Epoll;
 
 use crate::config::{Prefilter, Runtime};
 use crate::relay::{
-    Arrival, CloseReason, FlowRecord, MappingId, Shell, Table, Throttled, UpstreamId,
+    Arrival, CloseReason, FlowRecord, MappingId, NetId, Shell, Table, Throttled, UpstreamId,
 };
 
 use super::audit::Audit;
@@ -107,6 +107,7 @@ impl UpstreamSockets {
 
     /// Goes over to another configuration. Sockets beyond a lower limit stay open.
     pub(super) fn reload(&mut self, limit: usize, runtime: &Runtime, table: Arc<Table>) {
+        self.complaints = Complaints::default();
         let receive_buffer = runtime.receive_buffer;
         if receive_buffer != self.receive_buffer {
             for upstream in self.sockets.iter().flatten() {
@@ -209,14 +210,14 @@ fn served(table: &Table) -> [bool; 2] {
 }
 
 impl Shell for UpstreamSockets {
-    fn open_upstream(&mut self, id: UpstreamId, ipv4: bool) -> Option<u16> {
+    fn open_upstream(&mut self, id: UpstreamId, net: NetId, ipv4: bool) -> Option<u16> {
         if !self.may_open(ipv4) {
             return None; // counted as upstream_exhausted, and told by the log's summary
         }
         match self.open(id, ipv4) {
             Ok(port) => Some(port),
             Err(error) => {
-                self.complaints.note(&error, "cannot open an upstream socket");
+                self.complaints.note_of(net, &self.table, &error, "cannot open an upstream socket");
                 None
             }
         }

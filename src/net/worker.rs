@@ -195,7 +195,8 @@ impl Worker {
         let received =
             self.batch.receive(listener.socket.as_fd(), most, listener.own_address().is_none());
         let received = received.unwrap_or_else(|error| {
-            self.complaints.note(&error, "cannot receive on a public socket");
+            let what = "cannot receive on a public socket";
+            self.complaints.note_of(listener.net, self.core.table(), &error, what);
             0
         });
         let mut spared = 0;
@@ -276,13 +277,13 @@ impl Worker {
                 },
                 Err(error) => {
                     self.core.send_failed(tag.mapping, tag.direction);
-                    self.complaints.note(
-                        &error,
-                        match tag.direction {
-                            Direction::Request => "cannot send to a server",
-                            Direction::Response => "cannot send to a client",
-                        },
-                    );
+                    let what = match tag.direction {
+                        Direction::Request => "cannot send to a server",
+                        Direction::Response => "cannot send to a client",
+                    };
+                    let table = self.core.table();
+                    let net = table.mapping(tag.mapping).net;
+                    self.complaints.note_of(net, table, &error, what);
                 }
             },
         );
@@ -353,6 +354,7 @@ impl Worker {
         let after = &self.listeners;
         let table = Arc::clone(&succession.rules.table);
         self.core.reload(now, succession, &mut self.upstream);
+        self.complaints = Complaints::default();
         for (id, was) in before.iter() {
             if after.get(id).is_none_or(|is| !Arc::ptr_eq(&is.drops, &was.drops)) {
                 was.account();

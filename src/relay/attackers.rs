@@ -28,7 +28,7 @@ struct Sockets {
 }
 
 impl Shell for Sockets {
-    fn open_upstream(&mut self, _: UpstreamId, _: bool) -> Option<u16> {
+    fn open_upstream(&mut self, _: UpstreamId, _: NetId, _: bool) -> Option<u16> {
         self.opened += 1;
         Some(50_000 + self.opened)
     }

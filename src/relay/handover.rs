@@ -20,7 +20,7 @@ struct Sockets {
 }
 
 impl Shell for Sockets {
-    fn open_upstream(&mut self, id: UpstreamId, _: bool) -> Option<u16> {
+    fn open_upstream(&mut self, id: UpstreamId, _: NetId, _: bool) -> Option<u16> {
         Some(50_000 + id.0 as u16)
     }
 

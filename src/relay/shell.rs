@@ -6,15 +6,15 @@ use super::core::Arrival;
 use super::flow::FlowRecord;
 use super::ids::UpstreamId;
 use super::reason::CloseReason;
-use super::table::{MappingId, Table};
+use super::table::{MappingId, NetId, Table};
 use super::throttled::Throttled;
 
 /// What the core asks of the world around it. Called when flows open and close and when throttling
 /// begins and ends, not for each datagram.
 pub trait Shell {
     /// Opens the upstream socket `id` for IPv4 or IPv6 servers and tells its local port; none when
-    /// no socket can be had.
-    fn open_upstream(&mut self, id: UpstreamId, ipv4: bool) -> Option<u16>;
+    /// no socket can be had. A client of this net needs it; it may serve others' too.
+    fn open_upstream(&mut self, id: UpstreamId, net: NetId, ipv4: bool) -> Option<u16>;
     /// Closes the upstream socket `id`.
     fn close_upstream(&mut self, id: UpstreamId);
     /// Whether an upstream socket, of whichever worker, has this port.

@@ -16,7 +16,7 @@ const SILENCE: Duration = Duration::from_secs(119);
 struct OneSocket;
 
 impl Shell for OneSocket {
-    fn open_upstream(&mut self, id: UpstreamId, _: bool) -> Option<u16> {
+    fn open_upstream(&mut self, id: UpstreamId, _: NetId, _: bool) -> Option<u16> {
         assert_eq!(id, UpstreamId(0));
         Some(50_000)
     }

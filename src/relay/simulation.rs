@@ -93,7 +93,7 @@ struct FakeShell {
 }
 
 impl Shell for FakeShell {
-    fn open_upstream(&mut self, id: UpstreamId, ipv4: bool) -> Option<u16> {
+    fn open_upstream(&mut self, id: UpstreamId, _: NetId, ipv4: bool) -> Option<u16> {
         assert!(ipv4 && !self.ports.contains_key(&id), "opened twice");
         if self.ports.len() >= self.limit {
             return None;

@@ -126,7 +126,7 @@ impl Upstreams {
         let place = budget.take_pair(mapping.net).ok_or(DropReason::FlowLimit)?;
         let socket = home
             .or_else(|| self.probe(owner, server))
-            .or_else(|| self.open(server, shell))
+            .or_else(|| self.open(mapping, shell))
             .or_else(|| self.search(owner, server))
             .ok_or(DropReason::UpstreamExhausted)?;
         let used = Pair { owner, state: PairState::Used, _place: place };
@@ -234,11 +234,11 @@ impl Upstreams {
         sockets.find(|&id| self.may_use(id, owner, server))
     }
 
-    fn open(&mut self, server: SocketAddr, shell: &mut impl Shell) -> Option<UpstreamId> {
+    fn open(&mut self, to: &Mapping, shell: &mut impl Shell) -> Option<UpstreamId> {
         let place = self.sockets.vacant_entry();
         let socket = UpstreamId(u32::try_from(place.key()).ok()?);
-        let port = shell.open_upstream(socket, server.is_ipv4())?;
-        let (ipv4, at) = (server.is_ipv4(), self.open.len());
+        let port = shell.open_upstream(socket, to.net, to.server.is_ipv4())?;
+        let (ipv4, at) = (to.server.is_ipv4(), self.open.len());
         place.insert(Socket { ipv4, port, place: at, pairs: 0, given_up: false });
         self.open.push(socket);
         Some(socket)

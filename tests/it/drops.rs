@@ -316,24 +316,29 @@ fn a_net_that_takes_all_sockets_leaves_those_of_others() {
 #[test]
 fn a_server_that_cannot_be_sent_to() {
     let site = Site::claim();
-    let server = format!(
-        "[[server]]\nname = \"press\"\npublic_port = 20200\naddress = \"127.255.255.255:34379\"\n\
-         node = 4\nallow = [\"{}/24\"]\n\
-         [[server.password]]\nname = \"service\"\nfile = \"secrets/section-1\"",
-        site.address(0)
-    );
-    let relay = site.relay(Settings { sections: &server, ..Settings::default() });
+    let server = |name, public_port, secure_port| {
+        format!(
+            "[[server]]\nname = \"{name}\"\npublic_port = {public_port}\n\
+             address = \"127.255.255.255:{secure_port}\"\nnode = 4\nallow = [\"{}/24\"]\n\
+             [[server.password]]\nname = \"service\"\nfile = \"secrets/section-1\"\n",
+            site.address(0)
+        )
+    };
+    let servers = server("press", 20200, 34379) + &server("oven", 20201, 34380);
+    let relay = site.relay(Settings { sections: &servers, ..Settings::default() });
     let (client, node) = (site.client(), site.node(4));
-    let press = SocketAddr::from((site.public_address(), 20200));
     exchange(&client, site.public(4), &node, 4);
-    client.send(press, &request(4));
-    exchange(&client, site.public(4), &node, 4);
-    relay.expect_drops(&[("request", "send_failed", 1)]);
+    for public_port in [20200, 20200, 20201] {
+        client.send((site.public_address(), public_port).into(), &request(4));
+        exchange(&client, site.public(4), &node, 4);
+    }
+    relay.expect_drops(&[("request", "send_failed", 3)]);
     // The press was not asked, so it is not silent.
     let since = "pnet_nat_unanswered_since_timestamp_seconds";
     assert_eq!(relay.metrics().sum(since, &[("net", "press")]), 0);
     let log = relay.finish();
-    assert_eq!(log.logged("cannot send to a server").len(), 1, "{}", log.stderr());
+    let told = log.logged("cannot send to a server").into_iter().map(|line| line["net"].clone());
+    assert_eq!(told.collect::<Vec<_>>(), ["press", "oven"], "{}", log.stderr());
 }
 
 #[test]

@@ -1,7 +1,7 @@
 //! Who is let through and who is told of; what a crowd of strangers can do, and cannot.
 
 use super::*;
-use crate::relay::{CloseReason, FlowRecord, Table, UpstreamId};
+use crate::relay::{CloseReason, FlowRecord, NetId, Table, UpstreamId};
 use std::net::{Ipv4Addr, Ipv6Addr};
 
 const START: Nanos = 1;
@@ -22,7 +22,7 @@ struct Told {
 }
 
 impl Shell for Told {
-    fn open_upstream(&mut self, _: UpstreamId, _: bool) -> Option<u16> {
+    fn open_upstream(&mut self, _: UpstreamId, _: NetId, _: bool) -> Option<u16> {
         None
     }
     fn close_upstream(&mut self, _: UpstreamId) {}
