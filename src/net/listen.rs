@@ -13,8 +13,8 @@ use nix::errno::Errno;
 use socket2::{Domain, Protocol, Socket, Type};
 use tokio::net::UdpSocket;
 
-/// Connections that wait to be accepted, at most.
-const BACKLOG: i32 = 128;
+/// Connections that wait to be accepted, at most; the kernel has a bound of its own, net.core.somaxconn.
+const BACKLOG: i32 = 1024;
 
 /// Ports from here on need no capability (`sysctl net.ipv4.ip_unprivileged_port_start`). Read once:
 /// a confined process cannot look it up.
@@ -245,6 +245,9 @@ fn state_of(ip: Ipv6Addr, list: &str) -> Obstacle {
 
 #[cfg(test)]
 mod tests {
+    use std::net::{Ipv4Addr, TcpStream};
+    use std::time::Duration;
+
     use super::*;
 
     fn told(port: u16, call: &'static str, errno: Errno) -> (String, bool) {
@@ -287,6 +290,18 @@ mod tests {
             assert!(!wants(low, "socket", Errno::EACCES));
         }
         assert!(!wants(first, "bind", Errno::EACCES));
+    }
+
+    /// One that comes when no more may wait is heard again a second later.
+    #[test]
+    fn many_may_connect_at_a_time() {
+        let listener = tcp((Ipv4Addr::LOCALHOST, 0).into(), "[admin] listen").unwrap();
+        let address = listener.local_addr().unwrap();
+        let most = fs::read_to_string("/proc/sys/net/core/somaxconn").unwrap();
+        let many = most.trim().parse::<usize>().unwrap().min(300);
+        let connect = |_| TcpStream::connect_timeout(&address, Duration::from_secs(10));
+        let connected: Vec<_> = (0..many).map_while(|number| connect(number).ok()).collect();
+        assert_eq!(connected.len(), many);
     }
 
     #[test]

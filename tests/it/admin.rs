@@ -7,7 +7,8 @@ use std::sync::atomic::{AtomicBool, AtomicU32, Ordering::Relaxed};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use crate::harness::{Process, Relay, Settings, Site, exchange, pause, pnet_nat};
+use crate::harness::{PATIENCE, Process, Relay, Settings, Site, exchange, pause, pnet_nat};
+use crate::scale;
 
 /// Connects again and again, says this much, and keeps what connections it has got.
 fn harass(admin: SocketAddr, words: &[u8], over: &AtomicBool, made: &AtomicU32) {
@@ -60,6 +61,58 @@ fn whatever_its_clients_do_the_relay_relays_and_probes_are_answered() {
         println!("{exchanges} exchanges, {probes} probes, {} connections", made.load(Relaxed));
     });
     assert!(made.load(Relaxed) > 200, "nobody did any harm");
+    relay.finish();
+}
+
+/// A scrape, to its end.
+fn scrape(admin: SocketAddr, coding: &str) {
+    let mut stream = TcpStream::connect(admin).unwrap();
+    stream.set_read_timeout(Some(PATIENCE)).unwrap();
+    write!(stream, "GET /metrics HTTP/1.1\r\nhost: localhost\r\naccept-encoding: {coding}\r\n\r\n")
+        .unwrap();
+    let mut answer = Vec::new();
+    stream.read_to_end(&mut answer).unwrap();
+    assert!(answer.starts_with(b"HTTP/1.1 200 "), "{coding}");
+    assert!(answer.ends_with(b"\r\n0\r\n\r\n"), "a scrape was cut: {coding}");
+}
+
+#[test]
+fn while_many_scrape_a_large_table_no_request_is_lost_and_probes_are_answered() {
+    let site = Site::claim();
+    // 1,000 public ports.
+    let configuration = scale::configuration(&site, 8);
+    let relay = Relay::start(&configuration, site.admin(), Some(4096));
+    let (client, node) = (site.client(), site.node(4));
+    let public = (site.public_address(), scale::start_port(0) + 4).into();
+    let (mut exchanges, mut probes) = (0, 0);
+    thread::scope(|scope| {
+        let admin = site.admin();
+        let scrapers = ["gzip", "identity"].repeat(8).into_iter().map(|coding| {
+            scope.spawn(move || {
+                for _ in 0..2 {
+                    scrape(admin, coding);
+                }
+            })
+        });
+        let scrapers: Vec<_> = scrapers.collect();
+        while scrapers.iter().any(|scraper| !scraper.is_finished()) {
+            for _ in 0..20 {
+                exchange(&client, public, &node, 4);
+                exchanges += 1;
+            }
+            assert_eq!(relay.get("/-/ready").map(|(status, _)| status), Some(200));
+            probes += 1;
+        }
+    });
+    println!("{exchanges} exchanges, {probes} probes");
+    assert!(probes > 2, "nobody asked beside the scrapes");
+    let metrics = relay.metrics();
+    for name in ["pnet_nat_received_datagrams_total", "pnet_nat_forwarded_datagrams_total"] {
+        for direction in ["request", "response"] {
+            let count = metrics.sum(name, &[("direction", direction)]);
+            assert_eq!(count, exchanges, "{name} {direction}");
+        }
+    }
     relay.finish();
 }
 

@@ -92,7 +92,7 @@ fn reload_beside_a_client(site: &Site, relay: &Relay) {
     relay.expect_drops(&[]);
 }
 
-fn start_port(section: u16) -> u16 {
+pub(crate) fn start_port(section: u16) -> u16 {
     10_000 + 128 * section
 }
 
@@ -105,7 +105,7 @@ fn server_address(site: &Site, section: u16, node_address: u8) -> std::net::Ipv4
     }
 }
 
-fn configuration(site: &Site, sections: u16) -> String {
+pub(crate) fn configuration(site: &Site, sections: u16) -> String {
     let (public, subnet, admin) = (site.public_address(), site.address(0), site.admin());
     let mut configuration = format!(
         "[public]\nlisten = [\"{public}\"]\n[runtime]\nworkers = 2\n[admin]\nlisten = \"{admin}\"\n"
