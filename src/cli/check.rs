@@ -37,6 +37,9 @@ pub(super) fn run(args: Args) -> anyhow::Result<ExitCode> {
     for warning in warnings {
         complain(format_args!("warning: {warning}"));
     }
+    for link in sandbox::movable_links(&config.files) {
+        complain(format_args!("warning: {link}"));
+    }
     io::stdout().write_all(summary(&config, args.full).as_bytes())?;
     Ok(ExitCode::SUCCESS)
 }

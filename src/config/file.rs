@@ -43,8 +43,8 @@ impl FileError {
                     .into()
             }
             Self::Confined => "restart the relay; it reads only the folders in which its files were \
-                               when it started, wherever links lead now. Replace files by renaming, \
-                               within a folder of their own"
+                               when it started, wherever links lead now. To replace files without a \
+                               restart, keep the files in one real folder and rename new ones into it"
                 .into(),
         }
     }

@@ -101,6 +101,11 @@ impl Readable {
         readable
     }
 
+    /// Whether all that is or will be in this folder, of which the real path is given, can be read.
+    pub(super) fn has_all_of(&self, folder: &Path) -> bool {
+        folder.ancestors().any(|folder| self.folders.contains(folder))
+    }
+
     /// The files that cannot be replaced.
     pub(super) fn files(&self) -> impl Iterator<Item = &Path> {
         self.files.iter().map(PathBuf::as_path)

@@ -7,6 +7,7 @@
 //! and said so.
 
 mod files;
+mod links;
 mod privileges;
 mod system_calls;
 mod user;
@@ -21,6 +22,7 @@ use tracing::field::display;
 
 use crate::log::list;
 
+pub use links::{MovableLink, movable_links};
 pub use user::{User, UserError};
 
 /// A way in which the process is confined.

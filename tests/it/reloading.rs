@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use std::fmt::Write;
 use std::fs::{self, Permissions};
 use std::net::UdpSocket;
-use std::os::unix::fs::PermissionsExt;
+use std::os::unix::fs::{PermissionsExt, symlink};
 use std::os::unix::net::UnixDatagram;
 use std::path::Path;
 use std::process::Command;
@@ -572,6 +572,43 @@ fn a_password_file_in_another_folder_is_refused_with_the_remedy() {
     assert_eq!(exchange(&client, site.public(4), &node, 4), port);
     relay.reload_to(&first);
     relay.finish();
+}
+
+/// What `check` warns of comes true: the relay reads no folder that its link leads to later.
+#[test]
+fn a_link_that_leads_to_another_folder_is_refused_with_the_remedy() {
+    let site = Site::claim();
+    let configuration = site.configuration(&Settings::default());
+    let [first, second] = [(); 2].map(|()| folder(&configuration));
+    let place = tempfile::tempdir().unwrap();
+    let current = place.path().join("current");
+    symlink(first.path(), &current).unwrap();
+    let path = current.join("pnet-nat.toml");
+    let path = path.to_str().unwrap();
+    let mut checked = Process::start(pnet_nat(&["check", "--config", path]));
+    assert_eq!(checked.end(), Some(0));
+    let warnings = checked.stderr();
+    let told = format!("{path}: is reached by the link {} to the folder", current.display());
+    assert_eq!(warnings.matches(&told).count(), 1, "{warnings}");
+    assert!(warnings.contains("keep the files in one real folder"), "{warnings}");
+
+    let process = Process::start(pnet_nat(&["run", "--config", path]));
+    eventually("it relays", || process.logged("relaying").pop());
+    if process.logged("confined").is_empty() {
+        return left_out("Landlock in the kernel");
+    }
+    let (client, node) = (site.client(), site.node(4));
+    let port = exchange(&client, site.public(4), &node, 4);
+    let switched = place.path().join("next");
+    symlink(second.path(), &switched).unwrap();
+    fs::rename(&switched, &current).unwrap();
+    process.signal(Signal::SIGHUP);
+    eventually("it is refused", || process.logged("reload failed").pop());
+    let fault = process.logged("configuration fault").pop().unwrap();
+    let remedy = fault["remedy"].as_str().unwrap();
+    assert!(remedy.contains("wherever links lead now"), "{fault}");
+    assert!(remedy.contains("keep the files in one real folder"), "{fault}");
+    assert_eq!(exchange(&client, site.public(4), &node, 4), port);
 }
 
 /// Every setting that can change while it runs does.
