@@ -2,12 +2,14 @@
 //! than are allowed.
 
 use std::collections::BTreeSet;
+use std::net::UdpSocket;
 
 use nix::sys::signal::Signal;
 use serde_json::{Value, json};
 
 use crate::harness::{
-    FIGURE_10, Peer, Process, Relay, Settings, Site, WRONG, datagram, eventually, exchange, request,
+    FIGURE_10, Peer, Process, Relay, Settings, Site, WRONG, close, datagram, eventually, exchange,
+    request,
 };
 
 const README: &str = include_str!("../../README.md");
@@ -30,7 +32,9 @@ fn every_event_of_the_readme_is_written_as_it_says() {
     let limits = "[limits]\nwrong_password_burst = 2\nwrong_password_interval = \"500ms\"\n\
                   audit_lines = 2";
     let net = "idle_timeout = \"1s\"";
-    let relay = site.relay(Settings { net, sections: limits, ..Settings::default() });
+    let configuration =
+        site.configuration(&Settings { net, sections: limits, ..Settings::default() });
+    let relay = Relay::start(&configuration, site.admin(), None);
     let (client, node, stranger) = (site.client(), site.node(4), site.client());
     exchange(&client, site.public(4), &node, 4);
     guess(&relay, &site, &stranger);
@@ -41,7 +45,11 @@ fn every_event_of_the_readme_is_written_as_it_says() {
     for _ in 0..20 {
         exchange(&site.client(), site.public(4), &node, 4);
     }
-    relay.reload();
+    // Another program has the port of node 5, for a while.
+    let other = UdpSocket::bind(site.public(5)).unwrap();
+    relay.reload_to(&configuration.replace("\"1-4\"", "\"1-5\""));
+    close(other);
+    eventually("it listens", || relay.process.logged("listening").pop());
     relay.configure("no TOML");
     relay.reload();
     let log = relay.finish();
@@ -80,6 +88,7 @@ fn every_event_of_the_code_is_in_the_readme() {
     for source in [
         include_str!("../../src/cli/run.rs"),
         include_str!("../../src/reload.rs"),
+        include_str!("../../src/net/reload.rs"),
         include_str!("../../src/net/audit.rs"),
     ] {
         let source = source.replace("tracing::field", "field");
