@@ -104,26 +104,66 @@ fn the_ways_to_the_servers_are_checked() {
         return left_out("root, for a network");
     }
     let folder = folder(ANNOTATED);
-    let checked = |subnet: &str| {
-        let configuration = ANNOTATED.replace("172.17.18.7", "172.17.17.7");
-        let configuration = configuration.replace("= \"172.17.17.0\"", &format!("= \"{subnet}\""));
+    let two_interfaces = "ip link add wan type veth peer name w && ip link set w up && \
+                          ip link add plant type veth peer name p && ip link set p up && \
+                          ip link set wan up && ip link set plant up && \
+                          ip address add 203.0.113.5/24 dev wan && \
+                          ip address add 172.17.17.250/24 dev plant && \
+                          ip route add default via 203.0.113.1";
+    // As a container has it in a network of Docker's own.
+    let one_interface = "ip link add eth0 type veth peer name e && ip link set e up && \
+                         ip link set eth0 up && ip address add 172.19.0.2/16 dev eth0 && \
+                         ip route add default via 172.19.0.1";
+    let checked = |network: &str, configuration: &str| {
         fs::write(folder.path().join("pnet-nat.toml"), configuration).unwrap();
+        let network = format!("{network} && exec \"$0\" check --config pnet-nat.toml");
         let mut command = Command::new("unshare");
-        let network = "ip link add wan type veth peer name w && ip link set w up && \
-                       ip link add plant type veth peer name p && ip link set p up && \
-                       ip link set wan up && ip link set plant up && \
-                       ip address add 203.0.113.5/24 dev wan && \
-                       ip address add 172.17.17.250/24 dev plant && \
-                       ip route add default via 203.0.113.1 && exec \"$0\" check --config pnet-nat.toml";
-        command.args(["--net", "sh", "-c", network, env!("CARGO_BIN_EXE_pnet-nat")]);
+        command.args(["--net", "sh", "-c", &network, env!("CARGO_BIN_EXE_pnet-nat")]);
         command.current_dir(folder.path());
         let mut checked = Process::start(command);
         (checked.end(), checked.stderr())
     };
-    assert_eq!(checked("172.17.17.0"), (Some(0), String::new()));
-    let (code, stderr) = checked("172.71.17.0");
+    let sound = ANNOTATED.replace("172.17.18.7", "172.17.17.7");
+    assert_eq!(checked(two_interfaces, &sound), (Some(0), String::new()));
+    let mistyped = sound.replace("= \"172.17.17.0\"", "= \"172.71.17.0\"");
+    let (code, stderr) = checked(two_interfaces, &mistyped);
     assert_eq!(code, Some(75), "{stderr}");
     assert!(stderr.contains("the way to 172.71.17.1 leaves by the Internet side"), "{stderr}");
+
+    let (code, stderr) = checked(one_interface, &sound);
+    assert_eq!(code, Some(75), "{stderr}");
+    assert!(stderr.contains("set `servers_beyond_gateway = true`"), "{stderr}");
+    let meant = sound.replace("servers_beyond_gateway = false", "servers_beyond_gateway = true");
+    assert_eq!(checked(one_interface, &meant), (Some(0), String::new()));
+}
+
+/// As Docker, Podman and CSI drivers mount secrets: no `chmod` can change them there.
+#[test]
+fn a_secret_on_a_read_only_mount_is_to_be_mounted_otherwise() {
+    if !geteuid().is_root() {
+        return left_out("root, for a mount");
+    }
+    let folder = folder(&annotated().replace("#user = \"pnet-nat\"", "user = 65534"));
+    fs::set_permissions(folder.path(), fs::Permissions::from_mode(0o755)).unwrap();
+    let checked = |mode: &str, owner: &str| {
+        let mount = format!(
+            "cp -r secrets all && mount -t tmpfs -o mode=755 none secrets && cp all/* secrets && \
+             chmod {mode} secrets/* && chown {owner} secrets/* && rm -r all && \
+             mount -o remount,ro secrets && exec \"$0\" check --config pnet-nat.toml"
+        );
+        let mut command = Command::new("unshare");
+        command.args(["--mount", "sh", "-c", &mount, env!("CARGO_BIN_EXE_pnet-nat")]);
+        command.current_dir(folder.path());
+        let mut checked = Process::start(command);
+        (checked.end(), checked.stderr())
+    };
+    for (mode, owner) in [("0444", "65534"), ("0444", "0"), ("0400", "0")] {
+        let (code, stderr) = checked(mode, owner);
+        assert_eq!(code, Some(2), "{mode} {owner}: {stderr}");
+        assert!(stderr.contains("mode=0400,uid=65534"), "{mode} {owner}: {stderr}");
+        assert!(!stderr.contains("chmod") && !stderr.contains("chown"), "{stderr}");
+    }
+    assert_eq!(checked("0400", "65534"), (Some(0), String::new()));
 }
 
 /// What the relay could not read with the rights of its user, `check` finds.
