@@ -128,8 +128,9 @@ pub(super) const NET_FAMILIES: &[NetFamily] = &[
     NetFamily {
         name: "pnet_nat_kernel_dropped_datagrams_total",
         help: "Datagrams that the kernel dropped on a net's public sockets, or, of net none, on \
-               upstream sockets: overflow, a buffer was full; prefilter, the same while the \
-               prefilter was on, or refused by it.",
+               upstream sockets: overflow, a buffer was full; prefilter, a filter refused them. While \
+               one is on, the kernel has one figure for both, which is overflow when the buffer \
+               is full just as it is read.",
         kind: MetricType::COUNTER,
         samples: kernel_drops,
     },
@@ -162,7 +163,8 @@ impl RouterState {
 pub(super) const ROUTER_FAMILIES: &[RouterFamily] = &[
     RouterFamily {
         name: "pnet_nat_config_last_reload_successful",
-        help: "Whether the configuration that was last read came into force: 1 or 0.",
+        help: "1: the configuration that was last read is in force; 0: it has a fault and none of it \
+               is, or not all of it is.",
         kind: MetricType::GAUGE,
         sample: |state| gauge(&[], f64::from(state.last_reload.successful())),
     },
