@@ -191,17 +191,19 @@ fn note_syntax(report: &Report<'_>, errors: &[toml::de::Error]) {
         return;
     }
     let syntax = Syntax::of(&report.lines);
-    let mut advised = None;
+    let mut advised = HashSet::new();
     for (number, error) in errors.iter().enumerate() {
         let offset = error.span().map_or(0, |span| span.start);
         let line = report.line(offset);
         // What the parser makes of the rest of such a line helps nobody.
-        if advised.is_some_and(|advised| syntax.follows(line, advised)) {
+        if syntax.follows(line, &advised) {
             continue;
         }
         let own = || syntax.advice(offset, error.message());
         let own = (number < fault::MOST_TOLD).then(own).flatten();
-        advised = own.is_some().then_some(line).or(advised);
+        if own.is_some() {
+            advised.insert(line);
+        }
         let as_parsed = || Advice {
             key: String::new(),
             problem: error.message().replace('\n', ", "),

@@ -4,6 +4,8 @@
 //! The parser tells where it stopped. What is advised here has been tried: the line that a remedy
 //! shows can be read.
 
+use std::collections::HashSet;
+
 use toml::de::DeTable;
 
 use super::excerpt::Lines;
@@ -58,10 +60,11 @@ impl<'a> Syntax<'a> {
         }
     }
 
-    /// Whether what the parser says of a line only follows from what was advised of an earlier place.
-    pub(super) fn follows(&self, line: usize, advised: usize) -> bool {
-        let block = |line| self.headers.iter().rfind(|header| header.line <= line);
-        line == advised || block(line).is_some_and(|header| header.line == advised)
+    /// Whether what the parser says of a line only follows from what was advised of its line, or of the header above.
+    pub(super) fn follows(&self, line: usize, advised: &HashSet<usize>) -> bool {
+        let block = || self.headers.iter().rfind(|header| header.line <= line);
+        let is_below = || block().is_some_and(|header| advised.contains(&header.line));
+        !advised.is_empty() && (advised.contains(&line) || is_below())
     }
 
     /// A sign that looks like a blank, or like nothing, outside of quotes.

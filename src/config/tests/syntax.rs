@@ -96,6 +96,12 @@ fn values_without_quotes_are_shown_with_them() {
         ),
         (
             "node = 7",
+            "node = 7\nidle_timeout: 5m,",
+            "c.toml:19: server[0].idle_timeout: the value cannot be read; write it in quotes: \
+             idle_timeout = \"5m\"",
+        ),
+        (
+            "node = 7",
             "node: 7,",
             "c.toml:18: server[0].node: the value cannot be read; write it so: node = 7",
         ),
@@ -172,9 +178,9 @@ fn signs_that_nobody_sees_are_named() {
              it, or type a plain blank in its place"
         )
     };
-    assert_eq!(told_of("[[server]]", "\u{feff}[[server]]")[0], unseen(14, 1, "FEFF"));
-    assert_eq!(told_of("node = 7", "node =\u{a0}7")[0], unseen(18, 7, "00A0"));
-    assert_eq!(told_of("node = 7", "\u{200b}node = 7")[0], unseen(18, 1, "200B"));
+    assert_eq!(told_of("[[server]]", "\u{feff}[[server]]"), [unseen(14, 1, "FEFF")]);
+    assert_eq!(told_of("node = 7", "node =\u{a0}7"), [unseen(18, 7, "00A0")]);
+    assert_eq!(told_of("node = 7", "\u{200b}node = 7"), [unseen(18, 1, "200B")]);
 }
 
 #[test]
