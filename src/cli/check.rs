@@ -2,7 +2,7 @@
 //!
 //! Opens no socket of the relay. Faults and warnings go to stderr, tables to stdout.
 
-use std::io::{self, Write};
+use std::io::Write;
 use std::net::{IpAddr, SocketAddr};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -10,6 +10,7 @@ use std::process::ExitCode;
 use clap::builder::BoolishValueParser;
 use comfy_table::{Table, presets};
 
+use super::output::out;
 use super::{BAD_USE, complain, load, told};
 use crate::config::{self, Config, Warning};
 use crate::relay::{Mapping, Net, NetKind};
@@ -40,7 +41,7 @@ pub(super) fn run(args: Args) -> anyhow::Result<ExitCode> {
     for link in sandbox::movable_links(&config.files) {
         complain(format_args!("warning: {link}"));
     }
-    io::stdout().write_all(summary(&config, args.full).as_bytes())?;
+    out().write_all(summary(&config, args.full).as_bytes())?;
     Ok(ExitCode::SUCCESS)
 }
 

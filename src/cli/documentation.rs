@@ -2,7 +2,7 @@
 //! written from the command line itself. Packages install it.
 
 use std::fs;
-use std::io::{Write, stdout};
+use std::io::Write;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
@@ -11,6 +11,7 @@ use clap::CommandFactory;
 use clap_complete::Shell;
 
 use super::Cli;
+use super::output::out;
 
 /// Print what a shell needs to complete commands and options.
 #[derive(Debug, clap::Args)]
@@ -37,7 +38,7 @@ pub(super) struct Man {
 pub(super) fn completions(args: &Completions) -> anyhow::Result<ExitCode> {
     let mut script = Vec::new();
     clap_complete::generate(args.shell, &mut Cli::command(), "pnet-nat", &mut script);
-    stdout().write_all(&script)?;
+    out().write_all(&script)?;
     Ok(ExitCode::SUCCESS)
 }
 

@@ -17,7 +17,7 @@ mod run;
 mod signals;
 mod status;
 
-use std::io::{self, ErrorKind};
+use std::io::{self, ErrorKind, Write};
 use std::path::Path;
 use std::process::ExitCode;
 
@@ -92,7 +92,10 @@ const LOGGING: &str = "Logging";
 /// Runs the program.
 pub fn main() -> ExitCode {
     signals::hold_back();
-    let cli = Cli::parse();
+    let cli = match Cli::try_parse() {
+        Ok(cli) => cli,
+        Err(said) => return told_by_clap(&said),
+    };
     let service = matches!(cli.command, Command::Run(_));
     if !service {
         signals::let_hangup_through();
@@ -114,16 +117,31 @@ pub fn main() -> ExitCode {
         Command::Completions(args) => documentation::completions(&args),
         Command::Man(args) => documentation::man(&args),
     };
-    let code = done.unwrap_or_else(|error| {
-        if is_broken_pipe(&error) {
-            // Whoever reads the output has seen enough of it.
-            return if judges { ExitCode::FAILURE } else { ExitCode::SUCCESS };
-        }
-        complain(format_args!("pnet-nat: {error:#}"));
-        ExitCode::FAILURE
+    let done = done.and_then(|code| match output::out().flush() {
+        Err(error) if code == ExitCode::SUCCESS => Err(error.into()),
+        _ => Ok(code),
     });
+    let code = done.unwrap_or_else(|error| failed(&error, judges));
     log::flush();
     code
+}
+
+/// Tells why a command failed, and what to exit with.
+fn failed(error: &anyhow::Error, judges: bool) -> ExitCode {
+    if is_broken_pipe(error) {
+        // Whoever reads the output has seen enough of it.
+        return if judges { ExitCode::FAILURE } else { ExitCode::SUCCESS };
+    }
+    complain(format_args!("pnet-nat: {error:#}"));
+    ExitCode::FAILURE
+}
+
+/// Tells what was asked of the command line itself, such as its help, or what is wrong with it.
+fn told_by_clap(said: &clap::Error) -> ExitCode {
+    match said.print() {
+        Err(error) if !said.use_stderr() => failed(&output::Out::error(error).into(), false),
+        _ => ExitCode::from(u8::try_from(said.exit_code()).unwrap_or(BAD_USE)),
+    }
 }
 
 fn is_broken_pipe(error: &anyhow::Error) -> bool {

@@ -2,7 +2,7 @@
 //!
 //! What a node does is in `peer::node`; here are the options, and the lines that are printed.
 
-use std::io::{Write, stdout};
+use std::io::Write;
 use std::net::Ipv4Addr;
 use std::process::ExitCode;
 use std::str::FromStr;
@@ -11,6 +11,7 @@ use std::time::Duration;
 use anyhow::Context;
 use tokio::task::JoinSet;
 
+use super::output::out;
 use super::password_file;
 use super::signals::Signals;
 use crate::config::NodeRange;
@@ -70,7 +71,7 @@ pub(super) fn run(args: Args) -> anyhow::Result<ExitCode> {
 
 async fn serve(args: Args) -> anyhow::Result<ExitCode> {
     let mut signals = Signals::new()?;
-    let mut out = stdout();
+    let mut out = out();
     let mut nodes = Vec::new();
     for address in args.listen.iter().flat_map(AddressRange::addresses) {
         nodes.push(ServerNode::bind(settings(&args, address))?);

@@ -1,6 +1,6 @@
 //! What commands print to stdout: lines for people, or one JSON object a line.
 
-use std::io::{self, Write};
+use std::io::{self, Stdout, Write, stdout};
 
 use serde::Serialize;
 
@@ -36,6 +36,30 @@ impl Paint {
 
     fn with(self, code: &str, text: &str) -> String {
         if self.colour { format!("\x1b[{code}m{text}\x1b[0m") } else { text.to_owned() }
+    }
+}
+
+/// The standard output, whose errors say that they are its own.
+pub(super) struct Out(Stdout);
+
+pub(super) fn out() -> Out {
+    Out(stdout())
+}
+
+impl Write for Out {
+    fn write(&mut self, octets: &[u8]) -> io::Result<usize> {
+        self.0.write(octets).map_err(Self::error)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.0.flush().map_err(Self::error)
+    }
+}
+
+impl Out {
+    /// Says what it is that cannot be written to.
+    pub(super) fn error(error: io::Error) -> io::Error {
+        io::Error::new(error.kind(), format!("cannot write to the standard output: {error}"))
     }
 }
 

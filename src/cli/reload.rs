@@ -1,7 +1,7 @@
 //! `pnet-nat reload`: has a running relay read its configuration again, and tells the relay's own
 //! verdict.
 
-use std::io::{Write, stdout};
+use std::io::Write;
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -15,6 +15,7 @@ use serde_json::Value;
 use ureq::Agent;
 
 use super::agent::agent;
+use super::output::out;
 use super::status::bearer;
 use crate::config;
 use crate::harmless::harmless_lines;
@@ -66,8 +67,12 @@ pub(super) fn run(args: &Args) -> anyhow::Result<ExitCode> {
         Some(pid) => signal(pid, relay, args.timeout)?,
         None => relay?.post(args.timeout)?,
     };
-    stdout().write_all(harmless_lines(&verdict.text).as_bytes())?;
-    Ok(if verdict.successful { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+    let shown = out().write_all(harmless_lines(&verdict.text).as_bytes());
+    if !verdict.successful {
+        return Ok(ExitCode::FAILURE); // whether or not somebody reads why
+    }
+    shown?;
+    Ok(ExitCode::SUCCESS)
 }
 
 /// What came of a reload.

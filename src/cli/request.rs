@@ -3,7 +3,7 @@
 //! The exchange itself is in `peer::client`; here are the options, and the lines that are printed.
 //! Invariant: no password is ever printed.
 
-use std::io::{self, Write, stdout};
+use std::io::{self, Write};
 use std::net::{IpAddr, SocketAddr};
 use std::num::NonZeroU32;
 use std::process::ExitCode;
@@ -12,7 +12,7 @@ use std::time::Duration;
 use serde::Serialize;
 use tokio::time::MissedTickBehavior;
 
-use super::output::{Format, dotted, hex, print_json};
+use super::output::{Format, dotted, hex, out, print_json};
 use super::password_file;
 use crate::config::NodeRange;
 use crate::peer::{Answer, Client, ExchangeError, Request, Target};
@@ -97,7 +97,7 @@ async fn ask(args: Args) -> anyhow::Result<ExitCode> {
     let mut client = Client::bind(target.clone()).await?;
     let mut rounds = tokio::time::interval(args.interval.max(Duration::from_micros(1)));
     rounds.set_missed_tick_behavior(MissedTickBehavior::Delay);
-    let mut out = stdout();
+    let mut out = out();
     let mut sent: u32 = 0;
     let mut round_trips = Vec::new();
     for _ in 0..args.count.get() {

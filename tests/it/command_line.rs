@@ -194,9 +194,10 @@ fn a_flag_in_the_environment_is_said_in_any_usual_way() {
     }
 }
 
-/// As with `| head`.
+/// An output that nobody reads any more, as with `| head`, is no fault; one that cannot be written,
+/// such as a file on a full disk, is one.
 #[test]
-fn an_output_that_is_closed_is_no_fault() {
+fn an_output_that_is_closed_and_one_that_is_full() {
     let site = Site::claim();
     let relay = site.relay(Settings::default());
     let url = format!("http://{}", site.admin());
@@ -208,42 +209,65 @@ fn an_output_that_is_closed_is_no_fault() {
     let password = relay.folder.path().join("secrets/section-1");
     let password = password.to_str().unwrap();
     let (node, port) = (site.address(1).to_string(), site.start_port().to_string());
-    for (arguments, code) in [
+    let pid = relay.process.id().to_string();
+    let request = ["request", "--to", &node, "--start-port", &port, "--node", "1"];
+    let request = [&request[..], &["--password-file", password]].concat();
+    // What it exits with when its output is closed: 0 unless its exit code tells more.
+    for (arguments, closed) in [
         (&["check", "--config", config][..], 0),
         (&["completions", "bash"], 0),
         (&["decode", hex], 0),
+        (&["decode", "--format", "json", hex], 0),
         (&["--help"], 0),
+        (&["help", "run"], 0),
+        (&["--version"], 0),
         (&["node", "--listen", &node, "--password-file", password], 0),
         (&["status", "--url", &url], 0),
+        (&["status", "--url", &url, "--format", "json"], 0),
         (&["status", "--url", &url, "--watch"], 0),
-        // These tell more by their exit code.
-        (&["demo"], 1),
-        (&["healthcheck", "--url", &nobody], 1),
-        (
-            &[
-                "request",
-                "--to",
-                &node,
-                "--start-port",
-                &port,
-                "--node",
-                "1",
-                "--password-file",
-                password,
-            ],
-            1,
-        ),
+        (&["reload", "--url", &url, "--pid", &pid], 0),
+        (&["demo", "--seconds", "1"], 1),
+        (&request, 1),
     ] {
-        let (reader, writer) = std::io::pipe().unwrap();
-        drop(reader);
-        let mut command = pnet_nat(arguments);
-        let mut child = command.stdout(writer).stderr(Stdio::piped()).spawn().unwrap();
-        drop(command);
-        let ended = eventually("it ends", || child.try_wait().unwrap());
-        let mut stderr = String::new();
-        child.stderr.take().unwrap().read_to_string(&mut stderr).unwrap();
-        assert_eq!((ended.code(), stderr.as_str()), (Some(code), ""), "{arguments:?}");
+        assert_eq!(
+            written_to(nobody_reads(), arguments),
+            (Some(closed), String::new()),
+            "{arguments:?}"
+        );
+        let (code, said) = written_to(full(), arguments);
+        assert_eq!(code, Some(1), "{arguments:?}: {said}");
+        let why = "cannot write to the standard output: No space left on device (os error 28)\n";
+        assert!(said.starts_with("pnet-nat: ") && said.ends_with(why), "{arguments:?}: {said}");
+        assert_eq!(said.lines().count(), 1, "{arguments:?}: {said}");
     }
+
+    // Whatever becomes of what they write, these say no to whoever asked.
+    fs::write(config, "[public").unwrap();
+    let reload = ["reload", "--url", &url, "--pid", &pid];
+    for arguments in [&reload[..], &["healthcheck", "--url", &nobody]] {
+        for output in [nobody_reads(), full()] {
+            assert_eq!(written_to(output, arguments), (Some(1), String::new()), "{arguments:?}");
+        }
+    }
+}
+
+fn nobody_reads() -> Stdio {
+    std::io::pipe().unwrap().1.into()
+}
+
+fn full() -> Stdio {
+    fs::File::create("/dev/full").unwrap().into()
+}
+
+/// The exit code of a command that writes there, and what it says on stderr.
+fn written_to(output: Stdio, arguments: &[&str]) -> (Option<i32>, String) {
+    let mut command = pnet_nat(arguments);
+    let mut child = command.stdout(output).stderr(Stdio::piped()).spawn().unwrap();
+    drop(command);
+    let ended = eventually("it ends", || child.try_wait().unwrap());
+    let mut stderr = String::new();
+    child.stderr.take().unwrap().read_to_string(&mut stderr).unwrap();
+    (ended.code(), stderr)
 }
 
 /// Whoever collects the log of a relay gets JSON from its first line on, also when there is no more

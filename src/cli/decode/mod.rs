@@ -11,7 +11,7 @@ mod packet;
 mod row;
 
 use std::fs::File;
-use std::io::{self, BufRead, BufReader, Read, Write, stdin, stdout};
+use std::io::{self, BufRead, BufReader, Read, Write, stdin};
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::str::FromStr;
@@ -19,7 +19,7 @@ use std::str::FromStr;
 use anyhow::{Context, ensure};
 
 use super::complain;
-use super::output::{Format, print_json};
+use super::output::{Format, out, print_json};
 use crate::wire::Header;
 use line::{Fields, Line, Place};
 use row::InRow;
@@ -87,7 +87,7 @@ pub(super) fn run(args: Args) -> anyhow::Result<ExitCode> {
         let name = args.file.display().to_string();
         (Box::new(File::open(&args.file).with_context(|| name.clone())?), name)
     };
-    decode(BufReader::new(input), &args, &mut stdout()).context(name)?;
+    decode(BufReader::new(input), &args, &mut out()).context(name)?;
     Ok(ExitCode::SUCCESS)
 }
 

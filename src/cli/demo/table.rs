@@ -11,7 +11,7 @@ use std::time::Duration;
 
 use super::figures::{Figures, NodeFigures};
 use super::traffic::Intrusions;
-use crate::cli::output::Paint;
+use crate::cli::output::{Paint, out};
 use crate::log::no_color;
 
 /// Standard output, and how it is written to.
@@ -29,7 +29,7 @@ impl Display {
         let paint = Paint { colour: live && !no_color() };
         let title = paint.bold("pnet-nat demo");
         writeln!(
-            stdout(),
+            out(),
             "{title}: a remote client polls four server nodes through the relay, all on\n\
              loopback. A stranger sends wrong passwords and garbage, and gets nothing.\n\n\
              \x20 status page  http://{admin}/\n\
@@ -49,22 +49,22 @@ impl Display {
     /// Shows the figures of the moment.
     pub(super) fn show(&mut self, figures: &Figures) -> io::Result<()> {
         if !self.live {
-            return writeln!(stdout(), "{}", line(figures));
+            return writeln!(out(), "{}", line(figures));
         }
         // A wrapped line would count twice: what a narrow terminal has no room for is cut off.
-        write!(stdout(), "\x1b[?7l")?;
+        write!(out(), "\x1b[?7l")?;
         self.redraw(figures)?;
-        write!(stdout(), "\x1b[?7h")?;
-        stdout().flush()
+        write!(out(), "\x1b[?7h")?;
+        out().flush()
     }
 
     /// Shows the last figures, and what is wrong with them.
     pub(super) fn close(&mut self, figures: &Figures, faults: &[String]) -> io::Result<()> {
         if !self.live {
-            writeln!(stdout())?;
+            writeln!(out())?;
         }
         self.redraw(figures)?;
-        let mut out = stdout().lock();
+        let mut out = out();
         writeln!(out)?;
         for fault in faults {
             writeln!(out, "{} {fault}", self.paint.red("✗"))?;
@@ -83,7 +83,7 @@ impl Display {
 
     fn redraw(&mut self, figures: &Figures) -> io::Result<()> {
         let table = table(figures, self.paint);
-        let mut out = stdout().lock();
+        let mut out = out();
         if self.lines > 0 {
             write!(out, "\x1b[{}F", self.lines)?; // up to the first line of the last table
         }

@@ -20,7 +20,7 @@ use tokio::sync::oneshot;
 use ureq::Agent;
 
 use super::agent::agent;
-use super::output::{Format, Paint};
+use super::output::{Format, Paint, out};
 use super::signals::Signals;
 use crate::config::Token;
 use crate::harmless::{harmless, harmless_json, harmless_value};
@@ -101,7 +101,7 @@ pub(super) fn run(args: Args) -> anyhow::Result<ExitCode> {
             Format::Json => format!("{}\n", harmless_json(&relay.ask()?.to_string())),
             Format::Text => paper(args.full).draw(&relay.read(relay.ask()?)?, None, &relay.url),
         };
-        stdout().write_all(text.as_bytes())?;
+        out().write_all(text.as_bytes())?;
         return Ok(ExitCode::SUCCESS);
     };
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
@@ -166,7 +166,7 @@ type Reply = oneshot::Sender<anyhow::Result<Value>>;
 
 /// Shows a table in place of the one before it, as far as the terminal has room.
 fn show(text: &str, format: Format) -> io::Result<()> {
-    let mut out = stdout().lock();
+    let mut out = out();
     let (Some((_, height)), Format::Text) = (terminal(), format) else {
         out.write_all(text.as_bytes())?;
         return out.flush();
