@@ -5,7 +5,7 @@
 //! the reload is given up after a while and never comes into force: later ones are refused until the
 //! thread is back.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering::SeqCst};
 use std::sync::mpsc::{self, RecvTimeoutError};
@@ -35,23 +35,38 @@ pub struct Reloader {
     thread: Arc<Mutex<mpsc::Sender<Order>>>,
     /// The thread reads for a reload that was given up.
     is_stuck: Arc<AtomicBool>,
+    /// How long reading may take.
+    reading_time: Duration,
 }
 
 /// What the thread does.
 enum Order {
-    Read(oneshot::Sender<Result<(Config, Vec<Warning>), Faults>>),
+    Read(oneshot::Sender<Read>),
     /// Bring it into force.
     Apply(Box<Config>, oneshot::Sender<Result<Changes, ReloadError>>),
 }
 
+/// What is read.
+type Read = Result<(Config, Vec<Warning>), Faults>;
+
 impl Reloader {
     /// Reads the file at `path` for `router`, whenever it is told to.
     pub fn start(path: PathBuf, router: Arc<Router>) -> Result<Self, ThreadError> {
+        let of = Arc::clone(&router);
+        let read = move || config::load_again(&path, &of.in_force().config.table);
+        Self::reading(read, READING_TIME, router)
+    }
+
+    fn reading(
+        read: impl FnMut() -> Read + Send + 'static,
+        reading_time: Duration,
+        router: Arc<Router>,
+    ) -> Result<Self, ThreadError> {
         let (thread, orders) = mpsc::channel();
         let is_stuck = Arc::default();
         let (of, stuck) = (Arc::clone(&router), Arc::clone(&is_stuck));
-        thread::start("reload", move || obey(&orders, &path, &of, &stuck))?;
-        Ok(Self { router, thread: Arc::new(Mutex::new(thread)), is_stuck })
+        thread::start("reload", move || obey(&orders, read, &of, &stuck))?;
+        Ok(Self { router, thread: Arc::new(Mutex::new(thread)), is_stuck, reading_time })
     }
 
     /// Reads the file and the password files that it names, and brings them into force; or tells
@@ -80,13 +95,14 @@ impl Reloader {
         let (reply, mut read) = oneshot::channel();
         // A thread that is gone drops the reply.
         let _ = thread.send(Order::Read(reply));
-        let read = match timeout(READING_TIME, &mut read).await {
+        let read = match timeout(self.reading_time, &mut read).await {
             Ok(read) => read.map_err(|_| ReloadError::Stopping)?,
             Err(_) => {
                 self.is_stuck.store(true, SeqCst);
                 read.close();
                 // From here on the thread learns that nobody waits; it may have been just in time.
-                let in_time = read.try_recv().map_err(|_| ReloadError::TooSlow(READING_TIME))?;
+                let in_time =
+                    read.try_recv().map_err(|_| ReloadError::TooSlow(self.reading_time))?;
                 self.is_stuck.store(false, SeqCst);
                 in_time
             }
@@ -104,7 +120,12 @@ async fn apply(thread: &mpsc::Sender<Order>, config: Config) -> Result<Changes, 
 }
 
 /// What the thread does, until the process ends.
-fn obey(orders: &mpsc::Receiver<Order>, path: &Path, router: &Router, is_stuck: &AtomicBool) {
+fn obey(
+    orders: &mpsc::Receiver<Order>,
+    mut read: impl FnMut() -> Read,
+    router: &Router,
+    is_stuck: &AtomicBool,
+) {
     loop {
         let order = if router.misses_sockets() {
             orders.recv_timeout(RETRY_INTERVAL)
@@ -124,8 +145,7 @@ fn obey(orders: &mpsc::Receiver<Order>, path: &Path, router: &Router, is_stuck: 
         };
         match order {
             Order::Read(reply) => {
-                let read = config::load_again(path, &router.in_force().config.table);
-                if reply.send(read).is_err() {
+                if reply.send(read()).is_err() {
                     is_stuck.store(false, SeqCst);
                     warn!(
                         "a configuration is read at last, and dropped, for its reload was given up; reload again"
@@ -197,4 +217,52 @@ fn log_changes(changes: &Changes) {
         not_in_force = list(&not_in_force),
         "reload"
     );
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::metrics::fixture::config;
+
+    /// How long anything may take that takes no time.
+    const PATIENCE: Duration = Duration::from_secs(20);
+
+    /// A reload whose files are on a disk that is stuck is given up, and never comes into force; those
+    /// after it are refused without another look, until the disk is back.
+    #[tokio::test]
+    async fn a_disk_that_is_stuck() {
+        let router = Router::idle(config(), 1);
+        let (asked, was_asked) = mpsc::channel();
+        let (disk, on_disk) = mpsc::channel::<Config>();
+        let read = move || {
+            asked.send(()).unwrap();
+            match on_disk.recv() {
+                Ok(config) => Ok((config, Vec::new())),
+                Err(_) => Err(Faults(Vec::new())),
+            }
+        };
+        let time = Duration::from_millis(20);
+        let reloader = Reloader::reading(read, time, Arc::clone(&router)).unwrap();
+        let before = router.in_force();
+        let fails_with = async || timeout(PATIENCE, reloader.reload()).await.unwrap().unwrap_err();
+
+        let why = fails_with().await;
+        assert_eq!(why, ReloadError::TooSlow(time).to_string());
+        assert_eq!(router.last_reload().error.as_ref(), Some(&why), "status and metrics tell it");
+        was_asked.recv_timeout(PATIENCE).unwrap();
+        for _ in 0..3 {
+            assert_eq!(fails_with().await, ReloadError::StillReading.to_string());
+        }
+        assert!(was_asked.try_recv().is_err(), "nothing more was asked of it");
+
+        disk.send(config()).unwrap();
+        drop(disk);
+        let unsound = ReloadError::Faults(Faults(Vec::new())).to_string();
+        let end = std::time::Instant::now() + PATIENCE;
+        // The machine may be slower than the time that reading may take.
+        while fails_with().await != unsound {
+            assert!(std::time::Instant::now() < end, "later reloads are read again");
+        }
+        assert!(Arc::ptr_eq(&router.in_force(), &before), "what came late is dropped");
+    }
 }
