@@ -9,6 +9,7 @@ use std::process::ExitCode;
 
 use clap::builder::BoolishValueParser;
 use comfy_table::{Table, presets};
+use ipnet::{IpNet, Ipv4Net};
 
 use super::output::out;
 use super::{BAD_USE, complain, load, told};
@@ -69,7 +70,8 @@ fn read(path: &Path) -> Result<(Config, Vec<Warning>), ExitCode> {
 
 fn summary(config: &Config, full: bool) -> String {
     let listen: Vec<_> = config.listen.iter().map(IpAddr::to_string).collect();
-    let remarks: Vec<_> = remarks_on_servers(config).map(|remark| remark + "\n").collect();
+    let remarks = remarks_on_servers(config).chain(remarks_on_clients(config));
+    let remarks: Vec<_> = remarks.map(|remark| remark + "\n").collect();
     format!(
         "Sound. The NAT table, on {}:\n\n{}\n\n\
          What a remote client enters in its IPNetTable:\n\n{}\n\n\
@@ -136,6 +138,29 @@ fn remarks_on_servers(config: &Config) -> impl Iterator<Item = String> {
         } else {
             format!("{name}: no row reaches node {node}, for public port {port} is too low.")
         }
+    })
+}
+
+/// Clients inside a net's own subnet, to whom a wider network of its `allow` does not apply.
+fn remarks_on_clients(config: &Config) -> impl Iterator<Item = String> {
+    let nets = config.table.mappings().chunk_by(|a, b| a.net == b.net);
+    nets.filter_map(|mappings| {
+        let net = config.table.net(mappings[0].net);
+        let IpAddr::V4(server) = mappings[0].server.ip() else { return None };
+        let subnet = match net.kind {
+            NetKind::UdpRange { .. } => IpNet::from(Ipv4Net::new_assert(server, 24).trunc()),
+            NetKind::Server => return None,
+        };
+        let is_wider = |allowed: &&IpNet| allowed.prefix_len() > 0 && allowed.contains(&subnet);
+        let wider = net.allow.iter().find(is_wider)?;
+        let is_named = net.allow.iter().any(|allowed| subnet.contains(allowed));
+        (!is_named).then(|| {
+            format!(
+                "{}: {wider} lets no client in from the plant's own subnet; where there are some, \
+                 add \"{subnet}\" to `allow`.",
+                net.name
+            )
+        })
     })
 }
 

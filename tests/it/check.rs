@@ -97,6 +97,23 @@ fn a_user_that_is_not_there_is_exit_code_2() {
     assert!(stderr.contains("\"nobody-of-this-name\"") && stderr.contains("useradd"), "{stderr}");
 }
 
+/// A network around the plant's subnet does not name it.
+#[test]
+fn clients_inside_the_plant_that_are_not_let_in_are_told_of() {
+    let remark = "section-1: 127.17.0.0/16 lets no client in from the plant's own subnet; where there \
+                  are some, add \"127.17.17.0/24\" to `allow`.";
+    let told = |allow: &str| {
+        let folder = folder(&annotated().replace("\"198.51.100.0/24\"", allow));
+        let mut checked = check(folder.path(), &["--config", "pnet-nat.toml"]);
+        assert_eq!(checked.end(), Some(0), "{}", checked.stderr());
+        checked.stdout().matches(remark).count()
+    };
+    assert_eq!(told("\"127.17.0.0/16\""), 1);
+    assert_eq!(told("\"127.17.0.0/16\", \"127.17.17.0/24\""), 0);
+    assert_eq!(told("\"127.17.0.0/16\", \"127.17.17.8/32\""), 0);
+    assert_eq!(told("\"0.0.0.0/0\""), 0);
+}
+
 /// On a router, in a network of its own: one address on the Internet side, one in the plant.
 #[test]
 fn the_ways_to_the_servers_are_checked() {
