@@ -269,6 +269,39 @@ fn who_holds_another_password_of_the_net() {
     }
 }
 
+/// Limits by flow do not hold who takes a new port for each request; those of the net do, and who
+/// was there before him goes on.
+#[test]
+fn who_changes_ports_for_each_request() {
+    let mut world = World::new(|net| {
+        (net.max_flows, net.max_flow_requests) = (10, Some(RequestRate::new(2)));
+    });
+    let to = world.ask(CLIENT, SERVICE).unwrap();
+    world.sent(to);
+    let passed = (1..=100).filter(|port| {
+        let attacker = SocketAddr::from(([203, 0, 113, 66], 10_000 + port));
+        match world.ask_from(attacker, PUBLIC, OTHER) {
+            Ok(to) => {
+                world.sent(to);
+                true
+            }
+            Err(reason) => {
+                assert_eq!(reason, DropReason::FlowLimit);
+                false
+            }
+        }
+    });
+    assert_eq!(passed.count(), 9, "as many as the net has room for");
+    assert_eq!(world.flows(), 10);
+    assert_eq!(world.answer(to, SERVICE), Ok(octets(SERVICE)));
+    assert_eq!(world.ask(CLIENT, SERVICE), Ok(to), "an open flow is served all the same");
+    assert_eq!(
+        world.ask("198.51.100.8:1", SERVICE),
+        Err(DropReason::FlowLimit),
+        "a new one is not"
+    );
+}
+
 /// Passwords are exchanged while the flow is open: answers in any order, each under its own.
 #[test]
 fn a_client_that_changes_its_password_loses_no_answer() {
