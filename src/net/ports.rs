@@ -59,8 +59,11 @@ struct Host {
 }
 
 impl Ports {
-    /// Those of this host, outside what the configuration needs itself.
+    /// Those of this host, outside what the configuration needs itself. To be called before the
+    /// confinement, for what is read here.
     pub(super) fn new(config: &Config) -> Self {
+        // In a static program the system's generator is a file: from here on it is open.
+        let _ = getrandom::u32();
         Self::of_host(Host::read(), config)
     }
 

@@ -52,8 +52,9 @@ fn polling_client(site: &Site) -> Process {
 fn configuration(site: &Site) -> String {
     let runtime = "workers = 1\nreceive_buffer = 4096\ndrain = \"100ms\"";
     let configuration = site.configuration(&Settings { runtime, ..Settings::default() });
-    let allow = format!("allow = [\"{}/24\"]", site.address(0));
-    configuration.replace(&allow, "allow = [\"127.0.0.0/8\"]")
+    // Its own clients stand among the nodes, which has to be said by name.
+    let own = format!("\"{}/24\"", site.address(0));
+    configuration.replace(&format!("[{own}]"), &format!("[\"127.0.0.0/8\", {own}]"))
 }
 
 fn relay(site: &Site) -> Relay {

@@ -20,7 +20,7 @@ name = "press"
 public_port = 20200
 address = "SUBNET7:34379"
 node = 7
-allow = ["127.0.0.0/8"]
+allow = ["SUBNET0/24"]
 idle_timeout = "1s"
 
 [[server.password]]
