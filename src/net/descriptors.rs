@@ -92,10 +92,9 @@ fn divide(
     let workers = wish
         .unwrap_or_else(|| usual.min(NonZeroUsize::new(fitting).unwrap_or(NonZeroUsize::MIN)))
         .get();
-    let needed = RESERVE + workers * each;
-    if needed > limit {
-        let public_sockets = workers * addresses;
-        return Err(TooFewDescriptors { public_sockets, workers, needed, limit });
+    let Share { upstreams, lack, .. } = allot(addresses, workers, limit);
+    if let Some(lack) = lack {
+        return Err(lack);
     }
     if wish.is_none() && workers < usual.get() {
         tracing::warn!(
@@ -105,7 +104,6 @@ fn divide(
             "the hard limit of file descriptors allows fewer workers than usual"
         );
     }
-    let upstreams = (limit - RESERVE) / workers - addresses - OWN;
     Ok(Plan { workers, upstreams })
 }
 
