@@ -15,6 +15,7 @@ use crate::thread::ThreadError;
 use super::descriptors::{Share, TooFewDescriptors};
 use super::filtered::{FilteredSocket, NetDrops};
 use super::listen::{self, CallError, ListenError, chain};
+use super::ports::Ports;
 use super::public::{Listener, Listeners};
 use super::socket;
 
@@ -153,10 +154,15 @@ fn filtered(
 }
 
 /// What is missing, in words: one item for all ports of an address that lack the same.
-pub(super) fn told(missing: &[Missing]) -> Vec<NotInForce> {
+pub(super) fn told(missing: &[Missing], upstream: &Ports) -> Vec<NotInForce> {
     let mut ports = BTreeMap::<_, Vec<_>>::new();
     for Missing { address, why } in missing {
         let why = match why {
+            StartError::Listen(error) if error.is_in_use() && upstream.is_taken(address.port()) => {
+                "in use by the relay itself, which waits for an answer there; nothing has to be done: \
+                 it is tried again every second"
+                    .to_owned()
+            }
             StartError::Listen(error) => error.why(),
             other => chain(other),
         };

@@ -7,6 +7,7 @@
 use std::collections::BTreeMap;
 use std::sync::mpsc;
 use std::sync::{Arc, PoisonError};
+use std::thread;
 use std::time::{Duration, Instant};
 
 use crate::config::{self, Changes, Config, Faults, NotInForce};
@@ -18,8 +19,15 @@ use super::filtered::NetDrops;
 use super::in_force::InForce;
 use super::listen::chain;
 use super::public::Listeners;
-use super::router::{Router, addresses, lock};
+use super::router::{Handle, Router, addresses, lock};
 use super::worker::{self, Command, Next};
+
+/// How long a reload waits for the relay's own upstream sockets, where they are in the way of public
+/// ones and take last answers. After that they are missing for a while.
+const LAST_ANSWERS: Duration = Duration::from_millis(500);
+
+/// How often it looks whether they are closed.
+const LOOK: Duration = Duration::from_millis(5);
 
 /// Faults that are kept for who asks how the last reload went.
 const MOST_FAULTS: usize = 100;
@@ -140,7 +148,7 @@ impl Router {
         if self.is_ready()
             && let Ok(missing) = self.open_missing()
         {
-            Arc::make_mut(&mut lock(&self.last_reload)).missing = bind::told(&missing);
+            Arc::make_mut(&mut lock(&self.last_reload)).missing = bind::told(&missing, &self.ports);
         }
     }
 
@@ -164,15 +172,36 @@ impl Router {
         drop(old);
         self.ports.keep_out_of(&[&self.in_force().config]);
         if !missing.is_empty() {
-            // What the old configuration had is free now.
+            // What the old configuration had is free now, and soon what upstream sockets have.
+            self.close_left()?;
             missing = self.open_missing()?;
         }
 
         let mut last = lock(&self.last_reload);
         let last = Arc::make_mut(&mut last);
-        (last.settled, last.missing) = (settled, bind::told(&missing));
+        (last.settled, last.missing) = (settled, bind::told(&missing, &self.ports));
         changes.not_in_force = last.not_in_force().cloned().collect();
         Ok(changes)
+    }
+
+    /// Has the workers close upstream sockets whose ports are wanted for public ones: each when its
+    /// last answers are in. Waits for that, but not for long.
+    fn close_left(&self) -> Result<(), ReloadError> {
+        let end = Instant::now() + LAST_ANSWERS;
+        loop {
+            let ask = |worker: &Handle| {
+                let (reply, answer) = mpsc::sync_channel(1);
+                worker.ask(Command::CloseLeft(reply));
+                answer
+            };
+            let answers: Vec<_> = self.workers.iter().map(ask).collect();
+            let left = answers.iter().map(mpsc::Receiver::recv).collect::<Result<Vec<_>, _>>();
+            let left = left.map_err(|_| ReloadError::Stopping)?;
+            if !left.contains(&true) || Instant::now() >= end {
+                return Ok(());
+            }
+            thread::sleep(LOOK);
+        }
     }
 
     /// Opens what is missing of the configuration in force, and tells what still is.

@@ -47,6 +47,9 @@ pub(super) enum Command {
     /// Go over to another configuration, and tell how many flows were closed by it when all have
     /// gone over.
     Reload(Box<Next>, SyncSender<usize>),
+    /// Close upstream sockets whose ports are wanted for something else, as far as their last answers
+    /// are in, and tell whether there are others.
+    CloseLeft(SyncSender<bool>),
     /// Take no more requests, wait for answers until then at the latest, and end.
     Drain(Instant),
 }
@@ -331,6 +334,10 @@ impl Worker {
                 Command::Reload(next, reply) => {
                     self.reload(*next, now);
                     self.reloading = Some(reply);
+                }
+                Command::CloseLeft(reply) => {
+                    self.flush(now); // some of it leaves by them
+                    _ = reply.try_send(self.core.close_left(now, &mut self.upstream));
                 }
                 Command::Drain(end) => {
                     self.drain_until = Some(end);

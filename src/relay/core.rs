@@ -3,6 +3,7 @@
 //! Nothing is remembered of a sender before its password was right, and every datagram is counted
 //! once as received and once as forwarded or dropped. The caller does the sending and reports it.
 
+use std::collections::BTreeSet;
 use std::hash::BuildHasher;
 use std::net::{IpAddr, SocketAddr};
 use std::sync::Arc;
@@ -34,6 +35,9 @@ const SOURCE_HASH: FixedState = FixedState::with_seed(0);
 /// Flows that are looked at in one go, where there is something to do about all of them: datagrams
 /// have their turns in between. So few in tests that a handful of flows takes several.
 pub(super) const AT_ONCE: usize = if cfg!(test) { 2 } else { 256 };
+
+/// How long answers are waited for on a socket whose port is wanted for something else.
+const LAST_ANSWERS: Nanos = 2_000_000_000;
 
 /// How often a client with an open flow is noted as known: often enough not to be forgotten.
 const NOTED_AGAIN: Nanos = 3_600_000_000_000;
@@ -88,6 +92,8 @@ pub struct Core {
     pub(super) era: u32,
     pub(super) going_over: Option<GoingOver>,
     pub(super) upstreams: Upstreams,
+    /// Flows that take last answers over sockets that are about to be closed, and some that are gone.
+    pub(super) leaving: Vec<FlowId>,
     pub(super) throttle: Throttle,
     start: Instant,
 }
@@ -107,6 +113,7 @@ impl Core {
             era: 0,
             going_over: None,
             upstreams: Upstreams::new(hash, choice, capacity),
+            leaving: Vec::new(),
             throttle,
             start,
         }
@@ -208,6 +215,7 @@ impl Core {
     /// any more, and tells whose throttling is over. To be called about once a second; it does some
     /// of what there is to do, and tells whether it is to be called again at once.
     pub fn expire(&mut self, now: Instant, shell: &mut impl Shell) -> bool {
+        self.close_left(now, shell);
         let now = self.nanos(now);
         if self.upstreams.expire(now, shell) {
             return true;
@@ -248,7 +256,7 @@ impl Core {
     /// Whether a request has no answer yet that may still come.
     pub fn awaits_answers(&self, now: Instant) -> bool {
         let now = self.nanos(now);
-        let awaits = |flow: &Flow| flow.awaits_answers(now) && self.record(flow, now).is_some();
+        let awaits = |flow: &Flow| flow.awaits_answers(now) && self.place(flow).is_some();
         self.flows.iter().any(|(_, flow)| awaits(flow))
     }
 
@@ -269,6 +277,13 @@ impl Core {
         self.flows.iter().filter_map(move |(_, flow)| self.record(flow, now))
     }
 
+    /// Whether answers of this server may go to this client.
+    #[cfg(test)]
+    pub(super) fn takes_answers(&self, client: SocketAddr, server: SocketAddr) -> bool {
+        let is_its = |flow: &Flow| flow.endpoints.client == client && self.place(flow).is_some();
+        self.flows.iter().any(|(_, flow)| flow.server == server && is_its(flow))
+    }
+
     /// Panics where the tables do not agree with each other.
     #[cfg(test)]
     pub(super) fn check_invariants(&self, now: Instant) {
@@ -278,11 +293,12 @@ impl Core {
             let table = &self.rules_of(flow).0.table;
             let mapping = table.mapping(flow.mapping);
             assert_eq!(flow.server, mapping.server);
-            assert_eq!(self.flows.of_request(&flow.endpoints), Some(id));
+            let found = self.flows.of_request(&flow.endpoints);
+            assert_eq!(found == Some(id), flow.left == 0, "a request finds its flow");
             let found = self.flows.of_response(flow.upstream, flow.server);
             assert_eq!(found, Some(id), "an answer finds its flow");
             assert!(flow.opened <= flow.last_used && flow.last_used <= now);
-            *by_net.entry(&table.net(mapping.net).name).or_default() += 1;
+            *by_net.entry(&table.net(mapping.net).name).or_default() += u64::from(flow.left == 0);
         }
         let table = &self.rules.table;
         for (net, id) in table.nets().iter().zip(table.net_ids()) {
@@ -472,6 +488,7 @@ impl Core {
             answers: Answers::default(),
             era: self.era,
             paid_until: 0,
+            left: 0,
         };
         shell.flow_opened(&self.rules.table, &flow.record(now));
         let net = self.counters.net(mapping.net);
@@ -492,14 +509,53 @@ impl Core {
         self.wheel.remove(id);
         let flow = self.flows.remove(id);
         self.upstreams.release(flow.upstream, flow.server, now);
-        let (rules, counters) = self.rules_of(&flow);
+        if flow.left == 0 {
+            self.note_closed(&flow, reason, now, shell);
+        }
+        self.note_withdrawn(&flow);
+    }
+
+    /// Closes a flow for its client, whose next request opens another; answers to earlier ones still
+    /// come through it.
+    pub(super) fn leave(&mut self, id: FlowId, now: Nanos, shell: &mut impl Shell) {
+        self.flows.leave(id);
+        self.note_closed(self.flows.get(id), CloseReason::PortWanted, now, shell);
+        self.flows.get_mut(id).left = now;
+        self.leaving.push(id);
+    }
+
+    /// Closes sockets whose ports are wanted for something else as soon as their last answers are in,
+    /// or are not waited for any longer. Tells whether there are others.
+    pub fn close_left(&mut self, now: Instant, shell: &mut impl Shell) -> bool {
+        if self.going_over.is_some() {
+            return true; // flows without number may be on them
+        }
+        let now = self.nanos(now);
+        let mut ended = Vec::new();
+        let flows = &self.flows;
+        self.leaving.retain(|&id| {
+            let Some(flow) = flows.find(id).filter(|flow| flow.left > 0) else { return false };
+            let ends = !flow.awaits_answers(now) || now - flow.left >= LAST_ANSWERS;
+            let ends = ends && ended.len() < AT_ONCE;
+            if ends {
+                ended.push(id);
+            }
+            !ends
+        });
+        ended.into_iter().for_each(|id| self.close(id, CloseReason::PortWanted, now, shell));
+        let used: BTreeSet<_> =
+            self.leaving.iter().map(|&id| self.flows.get(id).upstream).collect();
+        self.upstreams.close_left(|id| used.contains(&id), shell)
+    }
+
+    fn note_closed(&self, flow: &Flow, reason: CloseReason, now: Nanos, shell: &mut impl Shell) {
+        let (rules, counters) = self.rules_of(flow);
         let net = rules.table.mapping(flow.mapping).net;
         rules.budget.give(net);
         let net = counters.net(net);
         net.flows.sub(1);
         net.flows_closed(reason).add(1);
         shell.flow_closed(&rules.table, &flow.record(now), reason);
-        self.note_withdrawn(flow.era);
     }
 }
 

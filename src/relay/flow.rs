@@ -46,6 +46,9 @@ pub(super) struct Flow {
     pub era: u32,
     /// Until when its requests are paid for, where they are limited.
     pub paid_until: Nanos,
+    /// When it was closed for its client, of whom it takes no requests any more: the port of its
+    /// socket was wanted. The last answers still come through it. 0: never.
+    pub left: Nanos,
 }
 
 /// The answers that a flow waits for.

@@ -61,6 +61,11 @@ impl Flows {
     }
 
     /// The same, when it may be closed by now.
+    pub(super) fn find(&self, id: FlowId) -> Option<&Flow> {
+        self.flows.get(id.key())
+    }
+
+    /// The same, when it may be closed by now.
     #[inline]
     pub(super) fn find_mut(&mut self, id: FlowId) -> Option<&mut Flow> {
         self.flows.get_mut(id.key())
@@ -76,12 +81,17 @@ impl Flows {
         id
     }
 
-    pub(super) fn remove(&mut self, id: FlowId) -> Flow {
-        let flow = self.flows.remove(id.key());
-        let hash = self.hash.hash_one(flow.endpoints);
+    /// From here on, no request belongs to it.
+    pub(super) fn leave(&mut self, id: FlowId) {
+        let hash = self.hash.hash_one(self.get(id).endpoints);
         if let Ok(entry) = self.by_endpoints.find_entry(hash, |other| *other == id) {
             entry.remove();
         }
+    }
+
+    pub(super) fn remove(&mut self, id: FlowId) -> Flow {
+        self.leave(id);
+        let flow = self.flows.remove(id.key());
         let hash = self.hash.hash_one(server_side(&flow));
         if let Ok(entry) = self.by_server.find_entry(hash, |other| *other == id) {
             entry.remove();

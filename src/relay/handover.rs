@@ -17,6 +17,7 @@ const SERVER: &str = "172.17.17.4:34379";
 #[derive(Default)]
 struct Sockets {
     closed: Vec<(u16, CloseReason)>,
+    closed_sockets: Vec<UpstreamId>,
 }
 
 impl Shell for Sockets {
@@ -24,7 +25,9 @@ impl Shell for Sockets {
         Some(50_000 + id.0 as u16)
     }
 
-    fn close_upstream(&mut self, _: UpstreamId) {}
+    fn close_upstream(&mut self, id: UpstreamId) {
+        self.closed_sockets.push(id);
+    }
 
     fn flow_opened(&mut self, _: &Table, _: &FlowRecord) {}
 
@@ -40,10 +43,17 @@ struct Site {
     max_requests: Option<u32>,
     password: &'static [u8; 8],
     public_port: u16,
+    /// That of another node.
+    other_port: u16,
 }
 
-const SITE: Site =
-    Site { max_flows: 100, max_requests: None, password: PASSWORD, public_port: 40_004 };
+const SITE: Site = Site {
+    max_flows: 100,
+    max_requests: None,
+    password: PASSWORD,
+    public_port: 40_004,
+    other_port: 40_005,
+};
 
 impl Site {
     fn table(self) -> Arc<Table> {
@@ -69,7 +79,13 @@ impl Site {
             public_port: self.public_port,
             server: SERVER.parse().unwrap(),
         };
-        Arc::new(Table::new(Header::default(), vec![net], vec![mapping]))
+        let other = Mapping {
+            node_address: 5,
+            public_port: self.other_port,
+            server: "172.17.17.5:34379".parse().unwrap(),
+            ..mapping
+        };
+        Arc::new(Table::new(Header::default(), vec![net], vec![mapping, other]))
     }
 
     fn limits(self) -> Limits {
@@ -151,7 +167,9 @@ impl Router {
             client: SocketAddr::new("198.51.100.7".parse().unwrap(), client),
         };
         let Worker { core, sockets, .. } = &mut self.workers[worker];
-        core.request(self.now, &arrival, &mut octets, sockets)
+        let to = core.request(self.now, &arrival, &mut octets, sockets)?;
+        core.request_sent(self.now, MappingId(0), to.asks, octets.len());
+        Ok(to)
     }
 
     fn answer(&mut self, worker: usize, to: ToServer) -> Result<ToClient, DropReason> {
@@ -160,6 +178,19 @@ impl Router {
         octets.extend(route.as_route().as_bytes());
         octets.extend([0x02, 0]);
         self.workers[worker].core.response(self.now, to.via, to.server, &mut octets)
+    }
+
+    /// Whether sockets are about to be closed and are not yet.
+    fn close_left(&mut self, worker: usize) -> bool {
+        let Worker { core, sockets, .. } = &mut self.workers[worker];
+        loop {
+            let before = core.leaving.len();
+            let others = core.close_left(self.now, sockets);
+            core.check_invariants(self.now);
+            if core.leaving.len() == before {
+                return others;
+            }
+        }
     }
 
     fn flows(&self, worker: usize) -> usize {
@@ -271,6 +302,65 @@ fn a_flow_does_not_move_to_a_socket_that_took_the_place_of_its_own() {
     assert_eq!(router.settle(0).0, 1);
     assert_eq!(router.workers[0].sockets.closed, [(40_004, CloseReason::MappingRemoved)]);
     assert_eq!(router.flows(0), 1);
+}
+
+/// A public port comes before one of the relay's own: clients are given other ones. But whatever is on
+/// its way to the old one comes in, and later ones find it closed.
+#[test]
+fn the_last_answers_come_in_over_a_port_that_is_wanted() {
+    let mut router = Router::new(1, Site { max_flows: 4, ..SITE });
+    let asked: Vec<_> =
+        (1..=4).map(|client| router.request(0, client, PASSWORD).unwrap()).collect();
+    let (wanted, silent) = (asked[0], asked[1]);
+    assert_eq!((wanted.via, silent.via), (UpstreamId(0), UpstreamId(1)));
+    let site = Site { max_flows: 4, other_port: 50_000, ..SITE };
+    for (number, other_port) in [(0, 50_000), (1, 50_001)] {
+        let next = router.next(Site { other_port, ..site }, &[]).remove(0);
+        router.go_over(0, next);
+        router.answer(0, asked[2]).unwrap(); // brings its flow over before its turn
+        let again = router.request(0, 1, PASSWORD).unwrap();
+        assert_eq!(again.via == wanted.via, number == 0, "before its turn");
+        assert_eq!(router.settle(0).0, 1);
+        assert_eq!(router.workers[0].sockets.closed.len(), number + 1);
+        assert_eq!(router.flows(0), 3);
+        let to = router.request(0, number as u16 + 1, PASSWORD).unwrap();
+        assert_eq!(to.via.0 as usize, 4 + number, "another port; and the flow limit holds");
+        assert_eq!(router.flows(0), 4);
+        assert!(router.close_left(0), "an answer is due");
+        assert_eq!(router.workers[0].sockets.closed_sockets.len(), number);
+        if number == 0 {
+            for _ in 0..2 {
+                assert!(router.close_left(0), "another answer is due");
+                assert_eq!(router.answer(0, wanted).unwrap().client.port(), 1);
+            }
+            assert!(router.workers[0].core.awaits_answers(router.now), "the others");
+        } else {
+            router.now += Duration::from_secs(2);
+        }
+        assert!(!router.close_left(0), "nothing is in the way any more");
+        assert_eq!(router.workers[0].sockets.closed_sockets[number].0 as usize, number);
+        for to in &asked[..=number] {
+            assert_eq!(router.answer(0, *to), Err(DropReason::UnknownFlow));
+        }
+    }
+    let closed = &router.workers[0].sockets.closed;
+    assert_eq!(*closed, [(40_004, CloseReason::PortWanted); 2], "and each is told of once");
+}
+
+#[test]
+fn what_is_withdrawn_gets_no_last_answers() {
+    let mut router = Router::new(1, SITE);
+    let to = router.request(0, 1, PASSWORD).unwrap();
+    let site = Site { other_port: 50_000, ..SITE };
+    let next = router.next(site, &[]).remove(0);
+    router.go_over(0, next);
+    assert_eq!(router.settle(0).0, 1);
+    let next = router.next(Site { password: b"another!", ..site }, &[]).remove(0);
+    router.go_over(0, next);
+    assert_eq!(router.answer(0, to), Err(DropReason::UnknownFlow));
+    assert_eq!(router.settle(0).0, 0, "it was closed by the first");
+    assert!(!router.close_left(0));
+    assert_eq!(router.workers[0].sockets.closed, [(40_004, CloseReason::PortWanted)]);
 }
 
 #[test]

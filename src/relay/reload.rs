@@ -16,7 +16,7 @@ use super::ids::FlowId;
 use super::reason::CloseReason;
 use super::rules::Rules;
 use super::shell::Shell;
-use super::transition::Transition;
+use super::transition::{Place, Transition};
 
 /// What a core goes over to.
 #[derive(Debug)]
@@ -43,6 +43,8 @@ pub(super) struct GoingOver {
     left: usize,
     /// Flows that could not.
     closed: usize,
+    /// Flows that did, and are on sockets that are about to be closed.
+    leaving: Vec<FlowId>,
 }
 
 impl Core {
@@ -61,13 +63,14 @@ impl Core {
             next: FlowId(0),
             left: self.flows.len(),
             closed: 0,
+            leaving: Vec::new(),
         });
         // A public socket comes before one of our own choice, which can be anywhere.
         let mut wanted = vec![false; 1 << 16];
         for mapping in self.rules.table.mappings() {
             wanted[usize::from(mapping.public_port)] = true;
         }
-        self.upstreams.give_up(|port| wanted[usize::from(port)], shell);
+        self.upstreams.leave(|port| wanted[usize::from(port)]);
     }
 
     /// Has some more flows go over to the rules of the last [`reload`](Self::reload). Tells how many
@@ -77,6 +80,14 @@ impl Core {
         for _ in 0..AT_ONCE {
             let going_over = self.going_over.as_mut()?;
             if going_over.left == 0 {
+                if let Some(id) = going_over.leaving.pop() {
+                    let flow = self.flows.find(id);
+                    if flow.is_some_and(|flow| self.upstreams.is_leaving(flow.upstream)) {
+                        going_over.closed += 1;
+                        self.leave(id, now, shell);
+                    }
+                    continue;
+                }
                 let closed = going_over.closed;
                 self.going_over = None;
                 return Some(closed);
@@ -114,8 +125,8 @@ impl Core {
         let (old, new) = (&*going_over.rules.table, &*self.rules.table);
         let flow = self.flows.get_mut(id);
         let place = going_over.transition.place(flow, old, new)?;
-        if self.upstreams.is_given_up(flow.upstream) {
-            return Err(CloseReason::PortWanted);
+        if flow.left == 0 && self.upstreams.is_leaving(flow.upstream) {
+            going_over.leaving.push(id);
         }
         let was = old.net(old.mapping(flow.mapping).net).idle_timeout;
         let is = new.net(new.mapping(place.mapping).net).idle_timeout;
@@ -142,28 +153,30 @@ impl Core {
         }
     }
 
-    /// Notes that a flow is gone which had not gone over.
-    pub(super) fn note_withdrawn(&mut self, era: u32) {
-        if let Some(going_over) = self.going_over.as_mut().filter(|_| era != self.era) {
+    /// Notes that a flow is gone, if it had not gone over.
+    pub(super) fn note_withdrawn(&mut self, flow: &Flow) {
+        if let Some(going_over) = self.going_over.as_mut().filter(|_| flow.era != self.era) {
             going_over.left -= 1;
-            going_over.closed += 1;
+            going_over.closed += usize::from(flow.left == 0);
         }
     }
 
-    /// What is told of a flow; nothing when the rules in force have no place for it.
-    pub(super) fn record(&self, flow: &Flow, now: Nanos) -> Option<FlowRecord> {
-        let record = flow.record(now);
+    /// Where a flow stands in the rules in force, if they have a place for it.
+    pub(super) fn place(&self, flow: &Flow) -> Option<Place> {
         match &self.going_over {
             Some(before) if flow.era != self.era => {
-                if self.upstreams.is_given_up(flow.upstream) {
-                    return None;
-                }
-                let table = (&before.rules.table, &self.rules.table);
-                let place = before.transition.place(flow, table.0, table.1).ok()?;
-                let credential = place.credential.map(usize::from);
-                Some(FlowRecord { mapping: place.mapping, credential, ..record })
+                let (old, new) = (&before.rules.table, &self.rules.table);
+                before.transition.place(flow, old, new).ok()
             }
-            _ => Some(record),
+            _ => Some(Place { mapping: flow.mapping, credential: flow.credential }),
         }
+    }
+
+    /// What is told of a flow; nothing when the rules in force have no place for it, nor when it
+    /// is closed but for its last answers.
+    pub(super) fn record(&self, flow: &Flow, now: Nanos) -> Option<FlowRecord> {
+        let Place { mapping, credential } = self.place(flow).filter(|_| flow.left == 0)?;
+        let credential = credential.map(usize::from);
+        Some(FlowRecord { mapping, credential, ..flow.record(now) })
     }
 }

@@ -86,6 +86,8 @@ struct FakeShell {
     rng: Rng,
     limit: usize,
     ports: BTreeMap<UpstreamId, u16>,
+    /// Ports that a configuration has wanted: they are not to be had any more.
+    wanted: BTreeSet<u16>,
     opened_flows: usize,
     closed_flows: usize,
     /// Throttlings that have begun and not ended.
@@ -100,7 +102,7 @@ impl Shell for FakeShell {
         }
         // Few ports, so that the kernel would give freed ones again soon.
         let port = std::iter::repeat_with(|| self.rng.u16(50_000..50_200))
-            .find(|port| self.ports.values().all(|other| other != port))?;
+            .find(|port| self.ports.values().chain(&self.wanted).all(|other| other != port))?;
         self.ports.insert(id, port);
         Some(port)
     }
@@ -168,11 +170,13 @@ struct World {
     digest: DefaultHasher,
     forwarded: usize,
     delivered: usize,
+    /// Of those, over a port that was wanted for something else.
+    last_answers: usize,
     reasons: [usize; DropReason::COUNT],
 }
 
-/// One of the configurations that the operator changes between.
-fn table(rng: &mut Rng) -> Table {
+/// One of the configurations that the operator changes between. It may want a port for the press.
+fn table(rng: &mut Rng, wanted: Option<u16>) -> Table {
     let wide = rng.u32(0..4) > 0;
     let clients = if wide { "198.51.100.0/24" } else { "198.51.100.0/30" };
     // Around the plant, without naming it.
@@ -220,7 +224,7 @@ fn table(rng: &mut Rng) -> Table {
         mapping(0, 1, 40_001, "172.17.17.1:34379"),
         mapping(0, 2, 40_002, "172.17.17.2:34379"),
         mapping(0, 33, 40_033, "172.17.17.33:34379"),
-        mapping(1, 7, 40_200, "172.17.18.7:34379"),
+        mapping(1, 7, wanted.unwrap_or(40_200), "172.17.18.7:34379"),
     ];
     match rng.u32(0..6) {
         0 => drop(mappings.remove(rng.usize(0..4))),
@@ -250,7 +254,7 @@ impl World {
         let mut rng = Rng::with_seed(seed);
         let now = Instant::now();
         let limits = limits(&mut rng);
-        let rules = Rules::new(Arc::new(table(&mut rng)), limits);
+        let rules = Rules::new(Arc::new(table(&mut rng, None)), limits);
         let workers = (0..2)
             .map(|_| {
                 let counters = Arc::new(Counters::new(&rules.table));
@@ -264,6 +268,7 @@ impl World {
                     rng: rng.fork(),
                     limit: 8,
                     ports: BTreeMap::new(),
+                    wanted: BTreeSet::new(),
                     opened_flows: 0,
                     closed_flows: 0,
                     throttled: 0,
@@ -285,6 +290,7 @@ impl World {
             digest: DefaultHasher::new(),
             forwarded: 0,
             delivered: 0,
+            last_answers: 0,
             reasons: [0; DropReason::COUNT],
         }
     }
@@ -570,10 +576,10 @@ impl World {
         let len = octets.len();
         let Worker { core, rules, .. } = &self.workers[asked.worker];
         let table = Arc::clone(&rules.table);
-        let is_its = |flow: FlowRecord| {
-            (flow.client, table.mapping(flow.mapping).server) == (asked.client, asked.to.server)
-        };
-        let known = core.flows(self.now).any(is_its);
+        // Also one that is closed but for its last answers.
+        let known = core.takes_answers(asked.client, asked.to.server);
+        let port = self.workers[asked.worker].shell.ports.get(&asked.to.via);
+        let is_shown = core.flows(self.now).any(|flow| Some(&flow.upstream_port) == port);
         match self.response(asked.worker, asked.to.via, asked.to.server, &mut octets) {
             Ok(to) => {
                 assert!(known, "an answer through a flow that is withdrawn");
@@ -587,6 +593,7 @@ impl World {
                 assert!(!(without_password && table.net(mapping.net).require_response_password));
                 assert_eq!(octets, as_sent[..len], "R-8");
                 self.delivered += 1;
+                self.last_answers += usize::from(!is_shown);
             }
             Err(DropReason::UnknownFlow | DropReason::PasswordMismatch) => {}
             Err(reason) => panic!("a good answer was dropped: {reason:?}"),
@@ -678,7 +685,14 @@ impl World {
             }
         }
         let limits = limits(&mut self.rng);
-        let rules = self.rules.followed_by(Arc::new(table(&mut self.rng)), limits);
+        // The port of a socket that waits for an answer, now and then.
+        let wanted = self.rng.choice(&self.under_way).filter(|_| self.rng.u32(0..4) > 0);
+        let wanted = wanted
+            .and_then(|asked| self.workers[asked.worker].shell.ports.get(&asked.to.via).copied());
+        for Worker { shell, .. } in &mut self.workers {
+            shell.wanted.extend(wanted);
+        }
+        let rules = self.rules.followed_by(Arc::new(table(&mut self.rng, wanted)), limits);
         let (old, new) = (&self.rules.table, &rules.table);
         let listeners = |table: &Table| -> BTreeSet<_> {
             table.mappings().iter().copied().map(listener).collect()
@@ -829,15 +843,18 @@ fn simulation_holds_the_rules_after_every_step() {
         let world = run(seed.parse().expect("SIMULATION_SEED is a number"));
         return println!("digest {:016x}", world.digest.finish());
     }
-    let (mut forwarded, mut delivered, mut reasons) = (0, 0, [0; DropReason::COUNT]);
+    let (mut forwarded, mut delivered, mut last_answers) = (0, 0, 0);
+    let mut reasons = [0; DropReason::COUNT];
     for _ in 0..RUNS {
         let world = run(Rng::new().u64(..));
         forwarded += world.forwarded;
         delivered += world.delivered;
+        last_answers += world.last_answers;
         (0..reasons.len()).for_each(|reason| reasons[reason] += world.reasons[reason]);
     }
     // A simulation in which nothing happens proves nothing.
     assert!(forwarded > 10_000 && delivered > 5_000, "{forwarded} {delivered}");
+    assert!(last_answers > 0, "no port was ever wanted while answers were due");
     for reason in DropReason::REQUEST.into_iter().chain(DropReason::RESPONSE) {
         assert!(
             reasons[reason as usize] > 0 || reason == DropReason::SendFailed,

@@ -49,6 +49,8 @@ pub(super) struct Upstreams {
     sockets: Slab<Socket>,
     /// The keys of `sockets`, dense, to pick from.
     open: Vec<UpstreamId>,
+    /// Those that no flow is given any more, until their last answers are in.
+    leaving: Vec<UpstreamId>,
     pairs: HashMap<(UpstreamId, SocketAddr), Pair, SeedableRandomState>,
     homes: HashMap<(SocketAddr, IpAddr), Home, SeedableRandomState>,
     /// When the pairs that were given up will have rested, in that order. One that was taken up
@@ -65,8 +67,16 @@ struct Socket {
     place: usize,
     /// Pairs in use or resting.
     pairs: u32,
-    /// It is closed, and its pairs do no more than rest: its port was wanted for something else.
-    given_up: bool,
+    state: SocketState,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum SocketState {
+    Open,
+    /// Its port is wanted for something else: it takes answers and is given to no flow.
+    Leaving,
+    /// That is over; its pairs do no more than rest.
+    Closed,
 }
 
 /// A (socket, server) that is in use or rests.
@@ -98,6 +108,7 @@ impl Upstreams {
         Self {
             sockets: Slab::new(),
             open: Vec::new(),
+            leaving: Vec::new(),
             pairs: HashMap::with_capacity_and_hasher(capacity, hash.clone()),
             homes: HashMap::with_capacity_and_hasher(capacity, hash),
             resting: Queue::new(),
@@ -134,28 +145,50 @@ impl Upstreams {
             self.sockets[socket.key()].pairs += 1;
             let home = self.homes.entry(owner.home()).or_insert(Home { socket, pairs: 0 });
             home.pairs += 1;
-            if self.sockets.get(home.socket.key()).is_some_and(|socket| socket.given_up) {
+            let at_home = self.sockets.get(home.socket.key());
+            if at_home.is_some_and(|socket| socket.state != SocketState::Open) {
                 home.socket = socket;
             }
         }
         Ok((socket, self.sockets[socket.key()].port))
     }
 
-    /// Closes the sockets whose ports are wanted for something else, whatever they are used for.
-    pub(super) fn give_up(&mut self, is_wanted: impl Fn(u16) -> bool, shell: &mut impl Shell) {
+    /// Gives no flow any more the sockets whose ports are wanted for something else.
+    pub(super) fn leave(&mut self, is_wanted: impl Fn(u16) -> bool) {
         let wanted = |id: &UpstreamId| is_wanted(self.sockets[id.key()].port);
-        let given_up: Vec<_> = self.open.iter().copied().filter(wanted).collect();
-        for id in given_up {
+        let leaving: Vec<_> = self.open.iter().copied().filter(wanted).collect();
+        for &id in &leaving {
             let socket = &mut self.sockets[id.key()];
-            socket.given_up = true;
+            socket.state = SocketState::Leaving;
             let place = socket.place;
-            self.close(id, place, shell);
+            self.forget(place);
         }
+        self.leaving.extend(leaving);
     }
 
-    /// Whether a flow's socket was given up, so that the flow has to end.
-    pub(super) fn is_given_up(&self, socket: UpstreamId) -> bool {
-        self.sockets.get(socket.key()).is_some_and(|socket| socket.given_up)
+    /// Whether a flow's socket is about to be closed, so that the flow has to go to another one.
+    pub(super) fn is_leaving(&self, socket: UpstreamId) -> bool {
+        let socket = self.sockets.get(socket.key());
+        socket.is_some_and(|socket| socket.state == SocketState::Leaving)
+    }
+
+    /// Closes the sockets that are about to be closed and whose last answers are in. Tells whether
+    /// there are others.
+    pub(super) fn close_left(
+        &mut self,
+        is_used: impl Fn(UpstreamId) -> bool,
+        shell: &mut impl Shell,
+    ) -> bool {
+        let sockets = &mut self.sockets;
+        self.leaving.retain(|&id| {
+            if is_used(id) {
+                return true;
+            }
+            sockets[id.key()].state = SocketState::Closed;
+            shell.close_upstream(id);
+            false
+        });
+        !self.leaving.is_empty()
     }
 
     /// Takes a flow's socket from it; the pair begins to rest.
@@ -199,13 +232,15 @@ impl Upstreams {
     pub(super) fn check_invariants(&self, flows: usize) {
         let used = |pair: &&Pair| matches!(pair.state, PairState::Used);
         assert_eq!(self.pairs.values().filter(used).count(), flows);
-        let open = self.sockets.iter().filter(|(_, socket)| !socket.given_up).count();
-        assert_eq!(self.open.len(), open);
+        let are = |state| move |socket: &(usize, &Socket)| socket.1.state == state;
+        let count = |state| self.sockets.iter().filter(are(state)).count();
+        assert_eq!(self.open.len(), count(SocketState::Open));
+        assert_eq!(self.leaving.len(), count(SocketState::Leaving));
         for (key, socket) in &self.sockets {
             let pairs = self.pairs.keys().filter(|(id, _)| id.key() == key).count();
             assert_eq!(pairs, socket.pairs as usize);
             assert!(pairs > 0, "a socket that nothing needs is closed");
-            assert!(socket.given_up || self.open[socket.place].key() == key);
+            assert!(socket.state != SocketState::Open || self.open[socket.place].key() == key);
         }
         for (key, home) in &self.homes {
             let pairs = self.pairs.values().filter(|pair| pair.owner.home() == *key).count();
@@ -239,20 +274,19 @@ impl Upstreams {
         let socket = UpstreamId(u32::try_from(place.key()).ok()?);
         let port = shell.open_upstream(socket, to.net, to.server.is_ipv4())?;
         let (ipv4, at) = (to.server.is_ipv4(), self.open.len());
-        place.insert(Socket { ipv4, port, place: at, pairs: 0, given_up: false });
+        place.insert(Socket { ipv4, port, place: at, pairs: 0, state: SocketState::Open });
         self.open.push(socket);
         Some(socket)
     }
 
     fn may_use(&self, socket: UpstreamId, owner: Owner, server: SocketAddr) -> bool {
         // A client's home may have been closed, while it still has pairs elsewhere.
-        self.sockets
-            .get(socket.key())
-            .is_some_and(|socket| socket.ipv4 == server.is_ipv4() && !socket.given_up)
-            && self.pairs.get(&(socket, server)).is_none_or(|pair| {
-                // A pair does not have to rest for whom it served.
-                pair.owner == owner && matches!(pair.state, PairState::RestsUntil(_))
-            })
+        self.sockets.get(socket.key()).is_some_and(|socket| {
+            socket.ipv4 == server.is_ipv4() && socket.state == SocketState::Open
+        }) && self.pairs.get(&(socket, server)).is_none_or(|pair| {
+            // A pair does not have to rest for whom it served.
+            pair.owner == owner && matches!(pair.state, PairState::RestsUntil(_))
+        })
     }
 
     fn leave_home(&mut self, owner: Owner) {
@@ -268,20 +302,22 @@ impl Upstreams {
         let pairs = &mut self.sockets[socket.key()].pairs;
         *pairs -= 1;
         if *pairs == 0 {
-            let Socket { place, given_up, .. } = self.sockets.remove(socket.key());
-            if !given_up {
-                self.close(socket, place, shell);
+            let Socket { place, state, .. } = self.sockets.remove(socket.key());
+            match state {
+                SocketState::Open => self.forget(place),
+                SocketState::Leaving => self.leaving.retain(|&id| id != socket),
+                SocketState::Closed => return,
             }
+            shell.close_upstream(socket);
         }
     }
 
-    /// Closes a socket that has this place among those that are open.
-    fn close(&mut self, socket: UpstreamId, place: usize, shell: &mut impl Shell) {
+    /// Takes a socket from among those that are open, where it has this place.
+    fn forget(&mut self, place: usize) {
         self.open.swap_remove(place);
         if let Some(moved) = self.open.get(place) {
             self.sockets[moved.key()].place = place;
         }
-        shell.close_upstream(socket);
     }
 }
 

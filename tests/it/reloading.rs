@@ -4,13 +4,14 @@
 use std::collections::BTreeSet;
 use std::fmt::Write;
 use std::fs::{self, Permissions};
-use std::net::UdpSocket;
+use std::net::{SocketAddr, UdpSocket};
 use std::os::unix::fs::{PermissionsExt, symlink};
 use std::os::unix::net::UnixDatagram;
 use std::path::Path;
 use std::process::Command;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::Relaxed};
 use std::thread;
+use std::time::Duration;
 
 use nix::sys::signal::Signal;
 use nix::sys::stat::Mode;
@@ -20,8 +21,8 @@ use tempfile::TempDir;
 
 use crate::harness::{
     DEVICE, FIGURE_10, Network, Over, PASSWORD, PATIENCE, Peer, Place, Process, Relay, SECOND,
-    Settings, Site, close, datagram, eventually, exchange, folder, left_out, pnet_nat, request,
-    response,
+    Settings, Site, close, datagram, eventually, exchange, folder, left_out, pause, pnet_nat,
+    request, response,
 };
 
 const SUCCESSFUL: &str = "pnet_nat_config_last_reload_successful";
@@ -478,6 +479,54 @@ fn a_new_net_on_ports_that_the_relay_has_itself() {
                 assert!(!(40_001..=40_125).contains(&port), "{port}");
             }
             assert_eq!(node.waiting(), None, "the password is withdrawn");
+            relay.finish();
+        }
+    });
+}
+
+/// The node answers what it was asked before the reload after it: nobody's exchange is lost.
+#[test]
+fn the_last_answers_come_in_over_ports_that_a_new_net_wants() {
+    let Some(network) = Network::build() else { return };
+    network.at_the_edge(|| {
+        fs::write("/proc/sys/net/ipv4/ip_local_port_range", "40000 40249").unwrap();
+        for runtime in RUNTIMES {
+            let place = Place { start_port: 20000, ..network.place(r#"["198.51.100.1"]"#) };
+            let one = place.configuration(&Settings { runtime, ..Settings::default() });
+            let relay = Relay::start(&one, place.admin, None);
+            let (node, public) = (network.node(4), "198.51.100.1:20004".parse().unwrap());
+            let clients: Vec<_> = (0..100).map(|_| network.client("198.51.100.7")).collect();
+            let asked: Vec<_> = { clients.iter() }
+                .map(|client| {
+                    client.send(public, &request(4));
+                    node.expect(&request(4))
+                })
+                .collect();
+            let is_wanted = |address: &&SocketAddr| (40_001..=40_125).contains(&address.port());
+            assert!(asked.iter().filter(is_wanted).count() >= 20, "{asked:?}");
+
+            let new = section("new", 40_000, "172.17.18.0").replace("1-20", "1-125");
+            let new = new.replace("127.0.0.0/8", "0.0.0.0/0");
+            thread::scope(|scope| {
+                scope.spawn(|| {
+                    pause(Duration::from_millis(100));
+                    asked.iter().for_each(|&relay| node.send(relay, &response(4)));
+                });
+                relay.reload_to(&(one.clone() + &new));
+            });
+            for client in &clients {
+                assert_eq!(client.expect(&response(4)), public);
+            }
+            eventually("all of it is in force", || {
+                let metrics = relay.metrics();
+                let successful = metrics.sum(SUCCESSFUL, &[]);
+                (successful == 1).then_some(())
+            });
+            clients.iter().for_each(|client| {
+                let port = exchange(client, public, &node, 4);
+                assert!(!(40_001..=40_125).contains(&port), "{port}");
+            });
+            relay.expect_drops(&[]);
             relay.finish();
         }
     });

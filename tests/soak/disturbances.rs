@@ -31,10 +31,9 @@ const RELOAD_SUCCESS_TIME: &str = "pnet_nat_config_last_reload_success_timestamp
 const BURST: usize = 8;
 const BREATH: Duration = Duration::from_millis(1);
 
-/// A block of ports that moves with each reload, below the ports that Linux lends: there it would take
-/// ports from the relay's own sockets towards the plant, and with them answers that are under way. No
-/// node stands behind it.
-const MOVING: std::ops::Range<u16> = 10_000..32_000;
+/// A block of ports that moves with each reload over those that Linux lends, and takes some from the
+/// relay's own sockets towards the plant. No node stands behind it.
+const MOVING: Range<u16> = 41_000..60_000;
 const BLOCK: usize = 128;
 
 /// Puts the log on a file system that is full, in a mount namespace of the relay's own.
