@@ -7,7 +7,6 @@
 use std::collections::BTreeMap;
 use std::sync::mpsc;
 use std::sync::{Arc, PoisonError};
-use std::thread;
 use std::time::{Duration, Instant};
 
 use crate::config::{self, Changes, Config, Faults, NotInForce};
@@ -25,9 +24,6 @@ use super::worker::{self, Command, Next};
 /// How long a reload waits for the relay's own upstream sockets, where they are in the way of public
 /// ones and take last answers. After that they are missing for a while.
 const LAST_ANSWERS: Duration = Duration::from_millis(500);
-
-/// How often it looks whether they are closed.
-const LOOK: Duration = Duration::from_millis(5);
 
 /// Faults that are kept for who asks how the last reload went.
 const MOST_FAULTS: usize = 100;
@@ -173,7 +169,7 @@ impl Router {
         self.ports.keep_out_of(&[&self.in_force().config]);
         if !missing.is_empty() {
             // What the old configuration had is free now, and soon what upstream sockets have.
-            self.close_left()?;
+            self.close_left();
             missing = self.open_missing()?;
         }
 
@@ -186,21 +182,17 @@ impl Router {
 
     /// Has the workers close upstream sockets whose ports are wanted for public ones: each when its
     /// last answers are in. Waits for that, but not for long.
-    fn close_left(&self) -> Result<(), ReloadError> {
+    fn close_left(&self) {
         let end = Instant::now() + LAST_ANSWERS;
-        loop {
-            let ask = |worker: &Handle| {
-                let (reply, answer) = mpsc::sync_channel(1);
-                worker.ask(Command::CloseLeft(reply));
-                answer
-            };
-            let answers: Vec<_> = self.workers.iter().map(ask).collect();
-            let left = answers.iter().map(mpsc::Receiver::recv).collect::<Result<Vec<_>, _>>();
-            let left = left.map_err(|_| ReloadError::Stopping)?;
-            if !left.contains(&true) || Instant::now() >= end {
-                return Ok(());
-            }
-            thread::sleep(LOOK);
+        let ask = |worker: &Handle| {
+            let (reply, answer) = mpsc::sync_channel(1);
+            worker.ask(Command::CloseLeft(reply));
+            answer
+        };
+        let answers: Vec<_> = self.workers.iter().map(ask).collect();
+        for answer in answers {
+            // None within the time, or from a worker that ends: what is missing is tried again.
+            let _ = answer.recv_timeout(end.saturating_duration_since(Instant::now()));
         }
     }
 

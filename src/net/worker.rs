@@ -47,9 +47,9 @@ pub(super) enum Command {
     /// Go over to another configuration, and tell how many flows were closed by it when all have
     /// gone over.
     Reload(Box<Next>, SyncSender<usize>),
-    /// Close upstream sockets whose ports are wanted for something else, as far as their last answers
-    /// are in, and tell whether there are others.
-    CloseLeft(SyncSender<bool>),
+    /// Close upstream sockets whose ports are wanted for something else, each as soon as its last
+    /// answers are in, and tell when there is none left.
+    CloseLeft(SyncSender<()>),
     /// Take no more requests, wait for answers until then at the latest, and end.
     Drain(Instant),
 }
@@ -76,6 +76,8 @@ pub(super) struct Worker {
     expiring: bool,
     /// Who waits until all flows have gone over to another configuration.
     reloading: Option<SyncSender<usize>>,
+    /// Who waits until sockets are closed whose ports are wanted.
+    closing: Option<SyncSender<()>>,
     ticker: Ticker,
     wake: Arc<EventFd>,
     complaints: Complaints,
@@ -130,6 +132,7 @@ impl Worker {
             drain_until: None,
             expiring: false,
             reloading: None,
+            closing: None,
             ticker,
             wake: parts.wake,
             complaints: Complaints::default(),
@@ -308,6 +311,12 @@ impl Worker {
             // Who asked may have gone; then nobody wants to know.
             let _ = reply.try_send(flows_closed);
         }
+        if self.closing.is_some()
+            && !self.core.close_left(now, &mut self.upstream)
+            && let Some(reply) = self.closing.take()
+        {
+            let _ = reply.try_send(());
+        }
     }
 
     /// What has to be looked at about once a second.
@@ -335,10 +344,7 @@ impl Worker {
                     self.reload(*next, now);
                     self.reloading = Some(reply);
                 }
-                Command::CloseLeft(reply) => {
-                    self.flush(now); // some of it leaves by them
-                    _ = reply.try_send(self.core.close_left(now, &mut self.upstream));
-                }
+                Command::CloseLeft(reply) => self.closing = Some(reply),
                 Command::Drain(end) => {
                     self.drain_until = Some(end);
                     for (_, listener) in self.listeners.iter() {
