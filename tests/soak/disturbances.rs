@@ -7,9 +7,10 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
-use std::time::{Duration, Instant, UNIX_EPOCH};
+use std::time::{Duration, Instant};
 
 use nix::sys::signal::Signal;
+use serde_json::Value;
 
 use crate::clients::{CLIENTS_OF_A_KIND, Clients};
 use crate::harness::{
@@ -23,9 +24,6 @@ pub(crate) const SECTION: u16 = 40_000;
 pub(crate) const PRESS: u16 = 40_200 - 3;
 pub(crate) const MIXER: u16 = 40_300 - 33;
 const ADMIN: (Ipv4Addr, u16) = (Ipv4Addr::LOCALHOST, 9378);
-
-const RELOAD_SUCCESSFUL: &str = "pnet_nat_config_last_reload_successful";
-const RELOAD_SUCCESS_TIME: &str = "pnet_nat_config_last_reload_success_timestamp_seconds";
 
 /// Strangers send so many at once, to each port; then they breathe.
 const BURST: usize = 8;
@@ -188,12 +186,15 @@ impl<'a> Operator<'a> {
         }
         let file = self.relay.folder.path().join("pnet-nat.toml");
         replace(&file, configuration(self.whole, self.round).as_bytes());
-        let asked = UNIX_EPOCH.elapsed().unwrap().as_secs();
         self.relay.process.signal(Signal::SIGHUP);
         eventually("the configuration is in force", || {
-            let metrics = self.relay.metrics();
-            assert_eq!(metrics.sum(RELOAD_SUCCESSFUL, &[]), 1, "a reload failed");
-            (metrics.sum(RELOAD_SUCCESS_TIME, &[]) >= asked).then_some(())
+            let (_, status) = self.relay.get("/api/v1/status")?;
+            let state = &serde_json::from_str::<Value>(&status).unwrap()["reload"];
+            assert_eq!(state["error"], Value::Null, "a reload failed");
+            for item in state["not_in_force"].as_array().unwrap() {
+                assert!(item["why"].as_str().unwrap().contains("waits for an answer"), "{item}");
+            }
+            (state["number"] == self.round).then_some(())
         });
         self.exchanges = self.exchanges();
         if self.whole {
