@@ -13,8 +13,8 @@ use criterion::measurement::WallTime;
 use criterion::{BenchmarkGroup, Criterion, Throughput};
 use fastrand::Rng;
 use ipnet::IpNet;
-use pnet_nat::relay::DropReason;
-use pnet_nat::wire::{Datagram, Header};
+use pnet_nat::nat::DropReason;
+use pnet_nat::pnet::wire::{Datagram, Header};
 
 use rig::{
     DEVICE_PASSWORD, Flow, IDLE_TIMEOUT, PASSWORD, REST, Rig, Site, arrival, client_endpoint,

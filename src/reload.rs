@@ -16,8 +16,8 @@ use tokio::time::timeout;
 use tracing::warn;
 
 use crate::config::{self, Changes, Config, Faults, Warning};
-use crate::log::list;
-use crate::net::{ReloadError, Router, chain};
+use crate::datapath::{ReloadError, Router, chain};
+use crate::logging::list;
 use crate::service;
 use crate::thread::{self, ThreadError};
 
@@ -222,7 +222,7 @@ fn log_changes(changes: &Changes) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::metrics::fixture::config;
+    use crate::config::fixture::config;
 
     /// How long anything may take that takes no time.
     const PATIENCE: Duration = Duration::from_secs(20);

@@ -14,7 +14,7 @@ use std::time::{Duration, Instant};
 use sd_notify::NotifyState;
 use tokio::time;
 
-use crate::net::Router;
+use crate::datapath::Router;
 
 const NOT_HEARD: &str = "the service manager cannot be told";
 

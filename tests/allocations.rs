@@ -14,7 +14,7 @@ use std::cell::Cell;
 use std::net::{Ipv4Addr, SocketAddr};
 use std::time::Duration;
 
-use pnet_nat::relay::{Arrival, DropReason, RequestRate};
+use pnet_nat::nat::{Arrival, DropReason, RequestRate};
 
 use rig::{
     DEVICE_PASSWORD, Flow, PASSWORD, REST, Rig, Site, arrival, client_endpoint, datagram, garbage,

@@ -11,12 +11,12 @@ use std::time::{Duration, Instant};
 
 use fastrand::Rng;
 use ipnet::IpNet;
-use pnet_nat::relay::{
-    Arrival, Chance, CloseReason, Core, Counters, Credential, FlowRecord, Limits, ListenerId,
-    Mapping, MappingId, Net, NetId, NetKind, RequestRate, Rules, Shell, Succession, Table,
+use pnet_nat::nat::{
+    Arrival, Chance, CloseReason, Core, Counters, Credential, Effects, FlowRecord, Limits,
+    ListenerId, Mapping, MappingId, Net, NetId, NetKind, RequestRate, Rules, Succession, Table,
     ToServer, Transition, UpstreamId,
 };
-use pnet_nat::wire::{Header, Password};
+use pnet_nat::pnet::wire::{Header, Password};
 
 /// What clients send.
 pub(crate) const PASSWORD: &[u8; 8] = b"PNETPASS";
@@ -118,7 +118,7 @@ pub(crate) struct NoSockets {
     limit: usize,
 }
 
-impl Shell for NoSockets {
+impl Effects for NoSockets {
     fn open_upstream(&mut self, id: UpstreamId, _: NetId, _ipv4: bool) -> Option<u16> {
         let free = self.open < self.limit;
         self.open += usize::from(free);

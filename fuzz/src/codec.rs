@@ -1,7 +1,7 @@
 //! Octets off the wire, through every view of the codec. What is accepted is given back octet for
 //! octet, and accounts for all of them.
 
-use pnet_nat::wire::{
+use pnet_nat::pnet::wire::{
     Datagram, DatagramError, DatagramRepr, DlRoute, Header, Indication, MAX_DATA, MAX_DATAGRAM,
     MAX_ROUTE, MIN_DATAGRAM, MIN_ROUTE, Password, Route, RouteFormat, replace_password,
 };

@@ -7,7 +7,7 @@ use std::path::Path;
 use std::sync::LazyLock;
 
 use pnet_nat::config::{self, Config, Faults};
-use pnet_nat::relay::NetKind;
+use pnet_nat::nat::NetKind;
 use tempfile::TempDir;
 
 /// A folder with the secrets that the corpus names. One has an octet too many.

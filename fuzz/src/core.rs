@@ -12,12 +12,12 @@ use std::net::{IpAddr, SocketAddr};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use pnet_nat::relay::{
-    Arrival, Chance, CloseReason, Core, Counters, Credential, Direction, DropReason, FlowRecord,
-    ListenerId, Mapping, MappingId, NetId, Rules, Shell, Succession, Table, Throttled, ToClient,
-    Transition, UpstreamId,
+use pnet_nat::nat::{
+    Arrival, Chance, CloseReason, Core, Counters, Credential, Direction, DropReason, Effects,
+    FlowRecord, ListenerId, Mapping, MappingId, NetId, Rules, Succession, Table, Throttled,
+    ToClient, Transition, UpstreamId,
 };
-use pnet_nat::wire::{BNA, Datagram, Header, Password};
+use pnet_nat::pnet::wire::{BNA, Datagram, Header, Password};
 
 use input::Input;
 
@@ -78,7 +78,7 @@ struct Sockets {
     throttled: usize,
 }
 
-impl Shell for Sockets {
+impl Effects for Sockets {
     fn open_upstream(&mut self, id: UpstreamId, _: NetId, ipv4: bool) -> Option<u16> {
         assert!(ipv4 && !self.ports.contains_key(&id), "opened twice");
         if self.ports.len() >= self.limit {

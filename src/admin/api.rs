@@ -21,13 +21,13 @@ use super::Shared;
 use super::turn::Turn;
 use crate::COMMIT;
 use crate::config::{Config, NotInForce};
-use crate::metrics::totals::{
-    self, BucketTotals, DirectionTotals, NetTotals, NodeTotals, Presence, ResponseTotals,
-};
-use crate::net::{InForce, LastReload};
-use crate::relay::{
+use crate::datapath::{ActiveConfig, LastReload};
+use crate::nat::{
     CloseReason, Credential, Direction, FlowRecord, Mapping, MappingId, Net, NetId, NetKind,
     RESPONSE_BUCKETS, RequestRate, SourceSketch, Table,
+};
+use crate::observe::totals::{
+    self, BucketTotals, DirectionTotals, NetTotals, NodeTotals, Presence, ResponseTotals,
 };
 use crate::sandbox::{self, Layer};
 
@@ -36,7 +36,7 @@ const DEFAULT_FLOWS: usize = 1000;
 const MOST_FLOWS: usize = 10_000;
 
 /// What the kernel drops before the relay sees it, as the status page names it, in plain words:
-/// by the causes of [`KernelDrops`](crate::net::KernelDrops).
+/// by the causes of [`KernelDrops`](crate::datapath::KernelDrops).
 const KERNEL_DROPS: [(&str, &str); 4] = [
     (
         "kernel: overflow",
@@ -386,7 +386,7 @@ struct NetState<'a> {
 }
 
 impl<'a> NetState<'a> {
-    fn of(in_force: &'a InForce, started: Instant, id: NetId) -> Self {
+    fn of(in_force: &'a ActiveConfig, started: Instant, id: NetId) -> Self {
         let table = &in_force.config.table;
         let net = table.net(id);
         let totals = NetTotals::of_net(&in_force.counters, table, id);
@@ -492,7 +492,7 @@ impl Traffic {
 }
 
 impl NodeState {
-    fn of(in_force: &InForce, started: Instant, mapping: MappingId) -> Self {
+    fn of(in_force: &ActiveConfig, started: Instant, mapping: MappingId) -> Self {
         let totals = NodeTotals::of_node(&in_force.counters, mapping);
         let now = started.elapsed();
         let age = |last| now.saturating_sub(last).as_secs_f64();
@@ -632,7 +632,7 @@ mod tests {
     use serde_json::json;
 
     use super::*;
-    use crate::metrics::fixture::{NODE_33, config};
+    use crate::config::fixture::{NODE_33, config};
 
     #[test]
     fn a_flow_names_its_net_node_and_credential() {

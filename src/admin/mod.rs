@@ -35,8 +35,8 @@ use tokio::time::{sleep, timeout};
 use tokio_io_timeout::TimeoutStream;
 use tracing::warn;
 
-use crate::metrics::Metrics;
-use crate::net::Router;
+use crate::datapath::Router;
+use crate::observe::metrics::Metrics;
 use crate::reload::Reloader;
 use crate::sandbox::Sandbox;
 

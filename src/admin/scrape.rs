@@ -21,7 +21,7 @@ use tokio::task::yield_now;
 
 use super::Shared;
 use super::turn::Turn;
-use crate::metrics::{self, Metrics};
+use crate::observe::metrics::{self, Metrics};
 
 /// About the octets of text in a piece: what is compressed, or unpacked, in one turn.
 const PIECE: usize = 32 * 1024;

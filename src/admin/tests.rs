@@ -11,9 +11,9 @@ use tokio::sync::oneshot;
 use axum::http::HeaderMap;
 
 use super::*;
+use crate::config::fixture::{self, NODE_1, PASSWORDS, SECTION, config};
 use crate::config::{Admin, Token};
-use crate::metrics::fixture::{self, NODE_1, PASSWORDS, SECTION, config};
-use crate::relay::{Direction, DropReason};
+use crate::nat::{Direction, DropReason};
 
 /// An admin server on a free port, in a thread of its own; ends when dropped.
 struct Server {
@@ -457,7 +457,7 @@ fn drop_reasons_are_explained() {
     let reasons = Server::start(Router::idle(config(), 1)).get("/api/v1/drop-reasons").json();
     assert_eq!(reasons.as_object().unwrap().len(), DropReason::COUNT + 4);
     assert_eq!(reasons["password_wrong"], DropReason::PasswordWrong.explanation());
-    for (cause, _) in crate::net::KernelDrops::default().by_cause() {
+    for (cause, _) in crate::datapath::KernelDrops::default().by_cause() {
         for name in [format!("kernel: {cause}"), format!("kernel: upstream {cause}")] {
             assert!(reasons[&name].is_string(), "{name}");
         }

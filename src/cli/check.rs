@@ -14,7 +14,7 @@ use ipnet::{IpNet, Ipv4Net};
 use super::output::out;
 use super::{BAD_USE, complain, load, told};
 use crate::config::{self, Config, Warning};
-use crate::relay::{Mapping, Net, NetKind};
+use crate::nat::{Mapping, Net, NetKind};
 use crate::sandbox::{self, User, UserError};
 
 /// Find every fault of a configuration, or show the NAT table and the clients' IPNetTable rows.

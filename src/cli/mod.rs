@@ -25,8 +25,8 @@ use anyhow::anyhow;
 use clap::{Parser, Subcommand};
 
 use crate::config::{self, Config, Faults, Warning};
-use crate::log::{self, LogFormat, LogLevel, complain};
-use crate::wire::Password;
+use crate::logging::{self, LogFormat, LogLevel, complain};
+use crate::pnet::wire::Password;
 
 /// The NAT router of P-NET on IP (IEC PAS 62412): lets remote clients reach the server nodes of a
 /// plant, checks every datagram and its password, and counts everything.
@@ -101,7 +101,7 @@ pub fn main() -> ExitCode {
         signals::let_hangup_through();
     }
     let usual = if service { LogLevel::Info } else { LogLevel::Warn };
-    log::init(cli.log_format, cli.log_level.unwrap_or(usual), service);
+    logging::init(cli.log_format, cli.log_level.unwrap_or(usual), service);
     // Their exit code judges what was not seen to its end.
     let judges = matches!(cli.command, Command::Demo(_) | Command::Request(_));
     let done = match cli.command {
@@ -122,7 +122,7 @@ pub fn main() -> ExitCode {
         _ => Ok(code),
     });
     let code = done.unwrap_or_else(|error| failed(&error, judges));
-    log::flush();
+    logging::flush();
     code
 }
 
@@ -158,7 +158,7 @@ fn load(path: &Path) -> Result<(Config, Vec<Warning>), ExitCode> {
 fn told<T>(read: Result<T, Faults>) -> Result<T, ExitCode> {
     read.map_err(|faults| {
         let code = if faults.pass() { TRY_AGAIN } else { BAD_USE };
-        log::complain_of_faults(&faults);
+        logging::complain_of_faults(&faults);
         ExitCode::from(code)
     })
 }

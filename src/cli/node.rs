@@ -16,7 +16,7 @@ use super::password_file;
 use super::signals::Signals;
 use crate::config::NodeRange;
 use crate::peer::{NodeSettings, ServerNode, echo};
-use crate::wire::{Header, Password};
+use crate::pnet::wire::{Header, Password};
 
 /// Run simulated P-NET server nodes that send back the data of each request.
 #[derive(Debug, clap::Args)]

@@ -16,7 +16,7 @@ use super::output::{Format, dotted, hex, out, print_json};
 use super::password_file;
 use crate::config::NodeRange;
 use crate::peer::{Answer, Client, ExchangeError, Request, Target};
-use crate::wire::Password;
+use crate::pnet::wire::Password;
 
 /// Ask server nodes behind a NAT router, as a remote client does.
 #[derive(Debug, clap::Args)]

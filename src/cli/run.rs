@@ -19,8 +19,9 @@ use super::signals::{Signals, let_hangup_through};
 use super::{BAD_USE, TRY_AGAIN, complain, load, told};
 use crate::admin;
 use crate::config::{self, Admin, Config, Warning};
-use crate::log::{self, Noise};
-use crate::net::{self, Bound, ListenError, Router, StartError};
+use crate::datapath::{self, Bound, ListenError, Router, StartError};
+use crate::logging;
+use crate::observe::DropReport;
 use crate::reload::Reloader;
 use crate::sandbox::{self, Sandbox, User};
 use crate::service;
@@ -81,7 +82,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<ExitCode> {
     let sandbox = prepared.map_or_else(Sandbox::off, |prepared| prepared.confine(&files));
     sandbox.announce();
     let start_threads = || -> anyhow::Result<_> {
-        log::in_background()?;
+        logging::in_background()?;
         let router = Arc::new(router.start()?);
         let reloader = Reloader::start(args.config.clone(), Arc::clone(&router))?;
         Ok((router, reloader))
@@ -119,7 +120,7 @@ fn may_pass(error: &anyhow::Error) -> bool {
         let start = cause.downcast_ref::<StartError>().map(StartError::may_pass);
         let listen = || cause.downcast_ref::<ListenError>().map(ListenError::may_pass);
         let thread = || cause.is::<ThreadError>().then_some(true);
-        let system = || cause.downcast_ref::<io::Error>().map(net::may_pass);
+        let system = || cause.downcast_ref::<io::Error>().map(datapath::may_pass);
         start.or_else(listen).or_else(thread).or_else(system).unwrap_or(false)
     })
 }
@@ -149,7 +150,7 @@ fn passes_soon(error: &anyhow::Error) -> bool {
 }
 
 fn try_to_bind(config: Config) -> anyhow::Result<(Bound, Option<StdListener>)> {
-    let listen = |admin: &Admin| net::tcp(admin.listen, "[admin] listen");
+    let listen = |admin: &Admin| datapath::tcp(admin.listen, "[admin] listen");
     let admin = config.admin.as_ref().map(listen).transpose();
     let admin = admin.context("the admin server cannot start; see [admin] listen")?;
     Ok((Router::bind(config)?, admin))
@@ -165,7 +166,7 @@ fn relay(
 ) -> anyhow::Result<ExitCode> {
     runtime.block_on(async {
         let mut signals = Signals::new()?;
-        let mut noise = Noise::new(Arc::clone(&router));
+        let mut noise = DropReport::new(Arc::clone(&router));
         let stopped = Arc::new(Notify::new());
         let serving = match admin {
             Some(listener) => {
@@ -218,7 +219,7 @@ fn announce(router: &Router) {
     let config = &in_force.config;
     tracing::info!(
         version = env!("CARGO_PKG_VERSION"),
-        listen = log::list(&config.listen),
+        listen = logging::list(&config.listen),
         nets = config.table.nets().len(),
         public_ports = config.table.mappings().len(),
         workers = in_force.counters.len(),

@@ -7,8 +7,8 @@ use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
 
 use ipnet::{IpNet, Ipv4Net};
 
-use super::fault::quoted;
-use super::section::Entry;
+use super::report::quoted;
+use super::toml_table::Entry;
 
 /// Words that people write for "every address".
 const EVERYWHERE: [&str; 6] = ["any", "all", "*", "everywhere", "world", "internet"];

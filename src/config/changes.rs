@@ -6,8 +6,8 @@ use std::fmt::{self, Display, Formatter};
 use serde::Serialize;
 
 use super::Config;
-use crate::relay::{Credential, Mapping, Net, Table};
-use crate::wire::Password;
+use crate::nat::{Credential, Mapping, Net, Table};
+use crate::pnet::wire::Password;
 
 /// The differences between two configurations, and what came of them.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
@@ -197,7 +197,7 @@ mod tests {
     use std::sync::Arc;
 
     use super::*;
-    use crate::metrics::fixture::config;
+    use crate::config::fixture::config;
 
     #[test]
     fn the_same_is_no_change() {

@@ -2,12 +2,12 @@
 
 use std::collections::{HashMap, HashSet};
 
-use crate::relay::Credential;
+use crate::nat::Credential;
 
 use super::guessable;
 use super::net::name;
 use super::secret::{device_password_file, make_password, password_file, path_of};
-use super::section::{Entry, Section};
+use super::toml_table::{Entry, Section};
 
 /// What stands at `password`: at least one, unless the net allows requests without.
 pub(super) fn credentials(entry: &Entry<'_>, allow_without_password: bool) -> Vec<Credential> {

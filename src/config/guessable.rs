@@ -1,6 +1,6 @@
 //! Passwords that a guesser tries early: a warning, for the standard leaves the choice to the plant.
 
-use crate::wire::Password;
+use crate::pnet::wire::Password;
 
 /// What many passwords are made of, in small letters.
 const WORDS: [&[u8]; 7] = [b"pass", b"pnet", b"admin", b"guest", b"qwert", b"welcome", b"letmein"];

@@ -7,7 +7,7 @@
 use std::io;
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, UdpSocket};
 
-use crate::relay::Table;
+use crate::nat::Table;
 
 use super::net::Draft;
 

@@ -7,8 +7,9 @@ mod address;
 mod changes;
 mod credentials;
 mod excerpt;
-mod fault;
 mod file;
+#[cfg(test)]
+pub(crate) mod fixture;
 mod guessable;
 mod host;
 mod model;
@@ -16,13 +17,14 @@ mod net;
 mod node_range;
 mod odd;
 mod overlap;
+mod report;
 mod restart;
 mod secret;
-mod section;
 mod syntax;
 #[cfg(test)]
 mod tests;
 mod token;
+mod toml_table;
 
 use std::collections::{HashMap, HashSet};
 use std::io::Read;
@@ -34,21 +36,21 @@ use std::time::Duration;
 
 use toml::de::DeTable;
 
-use crate::relay::{Limits, Mapping, NetId, Table};
-use crate::wire::Header;
+use crate::nat::{Limits, Mapping, NetId, Table};
+use crate::pnet::wire::Header;
 
-use fault::Report;
 use file::FileError;
 use host::{Host, ThisHost};
 use net::Draft;
-use section::{Entry, LONGEST, Section};
+use report::Report;
 use syntax::{Advice, Syntax};
+use toml_table::{Entry, LONGEST, Section};
 
 pub(crate) use changes::runs;
 pub use changes::{Changes, NotInForce};
-pub use fault::{Fault, Faults, Warning};
 pub use model::{Admin, Config, NotAPrefilter, Prefilter, Runtime};
 pub use node_range::{NodeRange, NotANodeRange};
+pub use report::{Fault, Faults, Warning};
 pub use restart::keep_settled;
 pub(crate) use secret::read_password;
 pub use token::{NotAToken, Token};
@@ -200,7 +202,7 @@ fn note_syntax(report: &Report<'_>, errors: &[toml::de::Error]) {
             continue;
         }
         let own = || syntax.advice(offset, error.message());
-        let own = (number < fault::MOST_TOLD).then(own).flatten();
+        let own = (number < report::MOST_TOLD).then(own).flatten();
         if own.is_some() {
             advised.insert(line);
         }

@@ -8,7 +8,7 @@ use std::str::FromStr;
 use std::sync::Arc;
 use std::time::Duration;
 
-use crate::relay::{Limits, Table};
+use crate::nat::{Limits, Table};
 
 use super::token::Token;
 

@@ -6,13 +6,13 @@
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::time::Duration;
 
-use crate::relay::{Net, NetKind, RequestRate};
+use crate::nat::{Net, NetKind, RequestRate};
 
 use super::address::{endpoint, is_a_host, is_link_local, network};
 use super::credentials::credentials;
-use super::fault::{Place, quoted};
 use super::node_range::{LAST_NODE, NodeRange};
-use super::section::{Entry, LONGEST, Section};
+use super::report::{SourceSpan, quoted};
+use super::toml_table::{Entry, LONGEST, Section};
 
 /// Where a server takes packages without a password (PAS 5.2.3, `p-net-local`).
 const NORMAL_PORT: u16 = 34378;
@@ -40,7 +40,7 @@ pub(super) struct Claim<'a, T> {
 /// A net as far as it could be read.
 #[derive(Debug)]
 pub(super) struct Draft<'a> {
-    pub(super) place: Place,
+    pub(super) place: SourceSpan,
     pub(super) name: Entry<'a>,
     pub(super) net: Net,
     pub(super) nodes: Vec<u8>,
@@ -61,7 +61,7 @@ pub(super) struct Allowed<'a> {
 impl Draft<'_> {
     /// The net and where it stands, for a fault of another one.
     pub(super) fn label(&self) -> String {
-        let Place { line, key } = &self.place;
+        let SourceSpan { line, key } = &self.place;
         format!("{key} \"{}\" (line {line})", self.net.name)
     }
 

@@ -1,7 +1,7 @@
 //! Octets of a password that look like a mistake: a line break of an editor, a blank at the end, a
 //! letter that takes two octets. A warning, for a password may be any 8 octets.
 
-use crate::wire::Password;
+use crate::pnet::wire::Password;
 
 /// From so many printable octets on, a password is taken for text. Of 8 random octets, so many are
 /// once in 200 times.

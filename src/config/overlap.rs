@@ -7,7 +7,7 @@ use std::hash::Hash;
 use std::net::{IpAddr, SocketAddr};
 
 use super::net::{Claim, Draft};
-use super::section::Entry;
+use super::toml_table::Entry;
 
 /// Notes every conflict between two nets, once a pair, and every loop.
 pub(super) fn refuse_overlaps(drafts: &[Draft<'_>], listen: &[IpAddr]) {

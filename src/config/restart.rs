@@ -37,7 +37,7 @@ mod tests {
 
     use super::*;
     use crate::config::Token;
-    use crate::metrics::fixture::config;
+    use crate::config::fixture::config;
 
     #[test]
     fn what_needs_a_restart_stays_and_all_else_changes() {

@@ -10,11 +10,11 @@ use std::path::{Path, PathBuf};
 use nix::unistd::geteuid;
 use zeroize::Zeroizing;
 
-use crate::wire::Password;
+use crate::pnet::wire::Password;
 
 use super::file::{self, FileError, is_read_only, shell_quoted};
 use super::odd::oddities;
-use super::section::Entry;
+use super::toml_table::Entry;
 
 const BYTE_ORDER_MARK: &[u8] = b"\xef\xbb\xbf";
 /// As much as a password with a byte order mark and a line break has, and one more.

@@ -9,7 +9,7 @@ use std::collections::HashSet;
 use toml::de::DeTable;
 
 use super::excerpt::Lines;
-use super::fault::shortened;
+use super::report::shortened;
 
 /// Keys whose value is a list.
 const LISTS: [&str; 3] = ["listen", "nodes", "allow"];

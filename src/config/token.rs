@@ -9,7 +9,7 @@ use zeroize::{ZeroizeOnDrop, Zeroizing};
 
 use super::file;
 use super::secret::{self, SecretError};
-use super::section::Entry;
+use super::toml_table::Entry;
 
 /// What a bearer has to show. Compared in constant time, wiped when dropped, and never shown by
 /// `Debug`.

@@ -13,7 +13,7 @@ use arrayvec::ArrayVec;
 use nix::sys::socket::{MsgFlags, SockaddrStorage, recvmsg, setsockopt, sockopt};
 use tokio::net::UdpSocket;
 
-use crate::wire::{
+use crate::pnet::wire::{
     Datagram, DatagramRepr, DlRoute, DlRouteError, Elements, EmitError, Header, MAX_DATA,
     MAX_DATAGRAM, NCNA, Password,
 };

@@ -14,8 +14,8 @@ use std::time::Duration;
 use arrayvec::ArrayVec;
 use tokio::net::UdpSocket;
 
-use crate::net::{self, ListenError};
-use crate::wire::{
+use crate::datapath::{self, ListenError};
+use crate::pnet::wire::{
     Datagram, DatagramRepr, DlRoute, DlRouteError, Header, Indication, MAX_DATA, MAX_DATAGRAM,
     NCNA, Password, RouteBuf,
 };
@@ -193,7 +193,7 @@ impl NodeSettings {
 }
 
 fn bind(address: Ipv4Addr, port: &mut u16) -> Result<UdpSocket, ListenError> {
-    let socket = net::udp((address, *port).into(), "--listen")?;
+    let socket = datapath::udp((address, *port).into(), "--listen")?;
     if let Ok(address) = socket.local_addr() {
         *port = address.port();
     }

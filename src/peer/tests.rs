@@ -7,7 +7,7 @@ use std::time::Duration;
 use tokio::net::UdpSocket;
 
 use super::*;
-use crate::wire::{Header, Password};
+use crate::pnet::wire::{Header, Password};
 
 const PASSWORD: &[u8; 8] = b"PNETPASS";
 /// Longer than any answer takes here.

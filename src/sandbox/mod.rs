@@ -20,7 +20,7 @@ use nix::unistd::{Uid, geteuid};
 use strum::VariantArray;
 use tracing::field::display;
 
-use crate::log::list;
+use crate::logging::list;
 
 pub use links::{MovableLink, movable_links};
 pub use user::{User, UserError};

@@ -88,8 +88,8 @@ fn every_event_of_the_code_is_in_the_readme() {
     for source in [
         include_str!("../../src/cli/run.rs"),
         include_str!("../../src/reload.rs"),
-        include_str!("../../src/net/reload.rs"),
-        include_str!("../../src/net/audit.rs"),
+        include_str!("../../src/datapath/reload.rs"),
+        include_str!("../../src/observe/audit.rs"),
     ] {
         let source = source.replace("tracing::field", "field");
         // The message is the text that ends a call; those with a name in braces are made elsewhere.

@@ -7,7 +7,7 @@ use crate::harness::{
 };
 use crate::harness::{PASSWORDS, Process};
 
-/// Noise makes one line a window, however much it is.
+/// DropReport makes one line a window, however much it is.
 #[test]
 fn wrong_passwords_make_one_line() {
     let site = Site::claim();

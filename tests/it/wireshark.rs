@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 use std::fs;
 use std::process::Command;
 
-use pnet_nat::wire::{
+use pnet_nat::pnet::wire::{
     DatagramRepr, DlRoute, Header, MAX_DATA, MAX_DATAGRAM, Password, Route, RouteBuf,
 };
 use serde_json::{Map, Value};

@@ -6,7 +6,7 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use pnet_nat::peer::{Client, ExchangeError, Request, Target};
-use pnet_nat::wire::Password;
+use pnet_nat::pnet::wire::Password;
 use tokio::task::JoinSet;
 
 use crate::disturbances::{MIXER, PRESS, PUBLIC, SECTION};

@@ -1,6 +1,6 @@
 //! Octets of a fuzzer as choices, and as datagrams: sound ones, damaged ones, any at all.
 
-use pnet_nat::wire::MAX_DATAGRAM;
+use pnet_nat::pnet::wire::MAX_DATAGRAM;
 
 /// What clients may try as a password.
 const PASSWORDS: [&[u8; 8]; 5] = [b"service!", b"rotated!", b"press!!!", b"device!!", b"gu3ss3d!"];

@@ -3,10 +3,8 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use pnet_nat::relay::{
-    Credential, Limits, Mapping, Net, NetId, NetKind, RequestRate, Rules, Table,
-};
-use pnet_nat::wire::{Header, Password};
+use pnet_nat::nat::{Credential, Limits, Mapping, Net, NetId, NetKind, RequestRate, Rules, Table};
+use pnet_nat::pnet::wire::{Header, Password};
 
 use super::input::Input;
 

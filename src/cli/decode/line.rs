@@ -12,7 +12,7 @@ use serde::{Serialize, Serializer};
 
 use super::row::InRow;
 use crate::cli::output::{dotted, hex};
-use crate::wire::{
+use crate::pnet::wire::{
     BNA, Datagram, DatagramError, DatagramRepr, DlpduType, Header, Route, RouteFormat, SNA,
 };
 
@@ -20,7 +20,7 @@ use crate::wire::{
 #[derive(Debug, Serialize)]
 pub(super) struct Line {
     #[serde(flatten)]
-    pub(super) place: Place,
+    pub(super) place: Locator,
     /// Where it is one of several in a payload.
     #[serde(flatten)]
     pub(super) in_row: Option<InRow>,
@@ -31,7 +31,7 @@ pub(super) struct Line {
 /// Where a datagram was found.
 #[derive(Clone, Copy, Debug, Serialize)]
 #[serde(untagged)]
-pub(super) enum Place {
+pub(super) enum Locator {
     Text {
         line: u64,
     },
@@ -179,8 +179,8 @@ impl Rest {
 impl fmt::Display for Line {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match &self.place {
-            Place::Text { line } => write!(f, "line {line}: ")?,
-            Place::Capture { packet, time, from, to } => {
+            Locator::Text { line } => write!(f, "line {line}: ")?,
+            Locator::Capture { packet, time, from, to } => {
                 write!(f, "packet {packet}, ")?;
                 if let Some(time) = time {
                     write!(f, "{}, ", humantime::format_rfc3339_micros(*time))?;
@@ -266,7 +266,7 @@ mod tests {
 
     fn line(octets: &[u8], length: usize) -> Line {
         let fields = Fields::of(octets, length, Header::default());
-        Line { place: Place::Text { line: 7 }, in_row: None, fields }
+        Line { place: Locator::Text { line: 7 }, in_row: None, fields }
     }
 
     #[track_caller]

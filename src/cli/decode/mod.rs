@@ -20,8 +20,8 @@ use anyhow::{Context, ensure};
 
 use super::complain;
 use super::output::{Format, out, print_json};
-use crate::wire::Header;
-use line::{Fields, Line, Place};
+use crate::pnet::wire::Header;
+use line::{Fields, Line, Locator};
 use row::InRow;
 
 /// Show the datagrams of hex text or of a capture (pcap, pcapng), without their passwords.
@@ -115,7 +115,7 @@ fn decode(mut input: impl BufRead, args: &Args, out: &mut impl Write) -> anyhow:
     let input = io::Cursor::new(beginning).chain(input);
     if !is_capture {
         return hex::read(input, |line, octets| {
-            Ok(show(Place::Text { line }, octets, octets.len())?)
+            Ok(show(Locator::Text { line }, octets, octets.len())?)
         });
     }
 
@@ -132,7 +132,7 @@ fn decode(mut input: impl BufRead, args: &Args, out: &mut impl Write) -> anyhow:
         {
             shown += 1;
             let (packet, time) = (captured.number, captured.time);
-            let place = Place::Capture { packet, time, from: udp.from, to: udp.to };
+            let place = Locator::Capture { packet, time, from: udp.from, to: udp.to };
             show(place, udp.octets, udp.length)?;
         }
         Ok(())

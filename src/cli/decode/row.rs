@@ -7,7 +7,7 @@ use std::slice::Chunks;
 
 use serde::Serialize;
 
-use crate::wire::{Datagram, Header, MAX_DATAGRAM, MIN_DATAGRAM};
+use crate::pnet::wire::{Datagram, Header, MAX_DATAGRAM, MIN_DATAGRAM};
 
 /// Datagrams that the kernel takes in one message.
 const MOST: usize = 64;

@@ -4,8 +4,8 @@
 use std::net::SocketAddr;
 use std::time::Duration;
 
-use crate::net::{InForce, Router};
-use crate::relay::{Direction, DropReason, MappingId};
+use crate::datapath::{ActiveConfig, Router};
+use crate::nat::{Direction, DropReason, MappingId};
 
 use super::plant::Plant;
 use super::traffic::{Intrusions, Polled, Traffic};
@@ -120,11 +120,11 @@ impl NodeFigures {
     }
 }
 
-fn mappings(router: &InForce) -> impl Iterator<Item = MappingId> {
+fn mappings(router: &ActiveConfig) -> impl Iterator<Item = MappingId> {
     router.config.table.mapping_ids()
 }
 
-fn relayed(router: &InForce, mapping: MappingId, direction: Direction) -> Relayed {
+fn relayed(router: &ActiveConfig, mapping: MappingId, direction: Direction) -> Relayed {
     let mut sum = Relayed { received: 0, forwarded: 0, dropped: 0 };
     for counters in &router.counters {
         let counters = counters.node(mapping).direction(direction);
@@ -135,7 +135,7 @@ fn relayed(router: &InForce, mapping: MappingId, direction: Direction) -> Relaye
     sum
 }
 
-fn dropped(router: &InForce) -> Vec<(DropReason, u64)> {
+fn dropped(router: &ActiveConfig) -> Vec<(DropReason, u64)> {
     let mut dropped = Vec::new();
     for &reason in Direction::ALL.iter().flat_map(|direction| direction.drop_reasons()) {
         let of = |direction| -> u64 {

@@ -22,8 +22,8 @@ use tokio::sync::oneshot;
 
 use super::signals::Signals;
 use crate::admin;
-use crate::log;
-use crate::net::{self, Router};
+use crate::datapath::{self, Router};
+use crate::logging;
 use crate::sandbox::Sandbox;
 
 use figures::Figures;
@@ -51,13 +51,13 @@ pub(super) struct Args {
 
 /// Runs the demo; fails unless every answer was right and the stranger got none.
 pub(super) fn run(args: Args) -> anyhow::Result<ExitCode> {
-    log::in_background()?;
+    logging::in_background()?;
     tokio::runtime::Builder::new_current_thread().enable_all().build()?.block_on(demo(args))
 }
 
 async fn demo(args: Args) -> anyhow::Result<ExitCode> {
     let plant = Plant::build().await?;
-    let listen = |port| net::tcp((Ipv4Addr::LOCALHOST, port).into(), "the demo's address");
+    let listen = |port| datapath::tcp((Ipv4Addr::LOCALHOST, port).into(), "the demo's address");
     let admin = TcpListener::from_std(listen(ADMIN_PORT).or_else(|_| listen(0))?)?;
     let admin_address = admin.local_addr()?;
     let router = Router::start(plant.config(admin_address)).context("the relay does not start")?;

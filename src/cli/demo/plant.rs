@@ -12,10 +12,10 @@ use arrayvec::ArrayVec;
 use tokio::task::JoinSet;
 
 use crate::config::{Admin, Config, Runtime};
-use crate::net::ListenError;
+use crate::datapath::ListenError;
+use crate::nat::{Credential, Limits, Mapping, Net, NetId, NetKind, Table};
 use crate::peer::{NodeCounts, NodeSettings, ServerNode, Target};
-use crate::relay::{Credential, Limits, Mapping, Net, NetId, NetKind, Table};
-use crate::wire::{Header, MAX_DATA, Password};
+use crate::pnet::wire::{Header, MAX_DATA, Password};
 
 /// Node addresses of the plant.
 const NODES: std::ops::RangeInclusive<u8> = 1..=4;

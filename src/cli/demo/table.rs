@@ -12,7 +12,7 @@ use std::time::Duration;
 use super::figures::{Figures, NodeFigures};
 use super::traffic::Intrusions;
 use crate::cli::output::{Paint, out};
-use crate::log::no_color;
+use crate::logging::no_color;
 
 /// Standard output, and how it is written to.
 pub(super) struct Display {

@@ -9,7 +9,7 @@ use std::time::Duration;
 use tokio::net::UdpSocket;
 
 use crate::peer::{Client, ExchangeError, Request, Target};
-use crate::wire::{MAX_DATAGRAM, Password};
+use crate::pnet::wire::{MAX_DATAGRAM, Password};
 
 use super::plant::{Plant, reading};
 

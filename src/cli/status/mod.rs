@@ -2,7 +2,7 @@
 //!
 //! `seen` is what the API tells, `table` how it looks. Here it is asked for, once or again and again.
 
-mod seen;
+mod snapshot;
 mod table;
 
 use std::fs;
@@ -24,11 +24,11 @@ use super::output::{Format, Paint, out};
 use super::signals::Signals;
 use crate::config::Token;
 use crate::harmless::{harmless, harmless_json, harmless_value};
-use crate::log::no_color;
+use crate::logging::no_color;
 use crate::thread::{self, ThreadError};
 
-use seen::Seen;
-use table::Paper;
+use snapshot::Snapshot;
+use table::Layout;
 
 /// As many octets as an answer may have: nets with 8,000 nodes make 6 MB.
 const MOST_OCTETS: u64 = 64 << 20;
@@ -112,7 +112,7 @@ pub(super) fn run(args: Args) -> anyhow::Result<ExitCode> {
 async fn watch(args: &Args, relay: Arc<Relay>, interval: Duration) -> anyhow::Result<ExitCode> {
     let mut signals = Signals::new()?;
     let asking = asking(Arc::clone(&relay))?;
-    let mut before: Option<(Instant, Seen)> = None;
+    let mut before: Option<(Instant, Snapshot)> = None;
     loop {
         let now = Instant::now();
         let (reply, answer) = oneshot::channel();
@@ -183,8 +183,8 @@ fn show(text: &str, format: Format) -> io::Result<()> {
     out.flush()
 }
 
-fn paper(full: bool) -> Paper {
-    Paper {
+fn paper(full: bool) -> Layout {
+    Layout {
         paint: Paint { colour: stdout().is_terminal() && !no_color() },
         width: terminal().map(|(width, _)| width.0),
         full,
@@ -224,8 +224,8 @@ impl Relay {
         }))
     }
 
-    fn read(&self, answer: Value) -> anyhow::Result<Seen> {
-        Seen::read(harmless_value(answer), self.net.is_some())
+    fn read(&self, answer: Value) -> anyhow::Result<Snapshot> {
+        Snapshot::read(harmless_value(answer), self.net.is_some())
     }
 
     fn get(&self, path: &str, net: Option<&str>) -> anyhow::Result<Map<String, Value>> {

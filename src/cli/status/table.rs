@@ -7,7 +7,7 @@ use std::time::Duration;
 use comfy_table::{CellAlignment, ContentArrangement, Table, presets};
 
 use super::super::output::Paint;
-use super::seen::{Net, Node, NotInForce, Reload, Seen, Status, Traffic};
+use super::snapshot::{Net, Node, NotInForce, Reload, Snapshot, Status, Traffic};
 
 /// So many nodes are a list for a person.
 const MOST_NODES: u64 = 100;
@@ -22,7 +22,7 @@ the relay does: pnet-nat request --help
 
 /// What it is drawn on.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Paper {
+pub(super) struct Layout {
     pub(super) paint: Paint,
     /// Columns; none: any number.
     pub(super) width: Option<u16>,
@@ -31,11 +31,11 @@ pub(super) struct Paper {
 }
 
 /// An earlier look, and how long ago that was.
-type Earlier<'a> = Option<(Duration, &'a Seen)>;
+type Earlier<'a> = Option<(Duration, &'a Snapshot)>;
 
-impl Paper {
+impl Layout {
     /// Draws it: counts since the start, or rates since an earlier look.
-    pub(super) fn draw(self, seen: &Seen, earlier: Earlier<'_>, url: &str) -> String {
+    pub(super) fn draw(self, seen: &Snapshot, earlier: Earlier<'_>, url: &str) -> String {
         let mut text = self.relay(&seen.status, url);
         if !seen.is_one_net {
             let flows: u64 = seen.nets.iter().map(|net| net.flows).sum();
@@ -80,7 +80,7 @@ impl Paper {
         text
     }
 
-    fn nodes(self, seen: &Seen, earlier: Earlier<'_>) -> String {
+    fn nodes(self, seen: &Snapshot, earlier: Earlier<'_>) -> String {
         let all = seen.nets.iter().map(|net| net.nodes.len() as u64).sum::<u64>();
         let every = self.full || all <= MOST_NODES;
         let nodes: Vec<_> = seen
@@ -112,7 +112,7 @@ impl Paper {
         text
     }
 
-    fn drops(self, seen: &Seen, earlier: Earlier<'_>) -> String {
+    fn drops(self, seen: &Snapshot, earlier: Earlier<'_>) -> String {
         let dropped = seen.dropped();
         if dropped.is_empty() {
             return "\nNothing was dropped.\n".to_owned();
@@ -195,7 +195,7 @@ fn request_and_answer(rates: bool) -> [&'static str; 2] {
     if rates { ["Requests/s", "Answers/s"] } else { ["Requests", "Answers"] }
 }
 
-fn net_rows(seen: &Seen, earlier: Earlier<'_>) -> Vec<[String; 9]> {
+fn net_rows(seen: &Snapshot, earlier: Earlier<'_>) -> Vec<[String; 9]> {
     let row = |net: &Net| {
         let before = earlier.map(|(ago, seen)| {
             let same = |before: &&Net| before.name == net.name;

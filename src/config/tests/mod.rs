@@ -17,7 +17,7 @@ use proptest::prelude::*;
 use tempfile::TempDir;
 
 use super::*;
-use crate::relay::{Net, NetKind, RequestRate};
+use crate::nat::{Net, NetKind, RequestRate};
 
 /// Line numbers in the cases below count from the first line of this text.
 const SOUND: &str = r#"[public]

@@ -44,7 +44,7 @@ fn tells_the_defaults() {
     assert_eq!(format!("{:?}", told.admin), format!("{:?}", default.admin));
     assert_eq!(told.table.header, default.table.header);
     for (told, default) in told.table.nets().iter().zip(default.table.nets()) {
-        let rules = |net: &crate::relay::Net| {
+        let rules = |net: &crate::nat::Net| {
             let flags = (net.require_response_password, net.allow_without_password);
             let rates = (net.max_requests, net.max_flow_requests);
             (net.idle_timeout, net.max_flows, rates, flags)

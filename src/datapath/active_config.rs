@@ -1,0 +1,80 @@
+//! What is in force from one reload to the next.
+//!
+//! Who reads takes the whole and reads it to the end, so that figures and the table that they belong
+//! to fit together. A retired one still tells its last figures, but holds no socket open.
+
+use std::collections::HashMap;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use crate::config::Config;
+use crate::nat::{Counters, NetId, Rules};
+
+use crate::datapath::socket::filtered::{KernelDrops, NetDrops};
+use crate::datapath::socket::public::Listeners;
+
+/// A configuration, and what is counted under it.
+#[derive(Debug)]
+pub struct ActiveConfig {
+    /// The configuration.
+    pub config: Config,
+    /// What the workers work from.
+    pub(in crate::datapath) rules: Rules,
+    /// The counters of each worker; a figure of the router is their sum.
+    pub counters: Vec<Arc<Counters>>,
+    /// Of each net.
+    drops: Vec<Arc<NetDrops>>,
+    /// Of the upstream sockets, which belong to no net.
+    pub(in crate::datapath) upstream_drops: Arc<NetDrops>,
+    /// Of each worker.
+    listeners: Mutex<Vec<Listeners>>,
+}
+
+impl ActiveConfig {
+    pub(in crate::datapath) fn new(
+        config: Config,
+        rules: Rules,
+        counters: Vec<Arc<Counters>>,
+        drops: Vec<Arc<NetDrops>>,
+        upstream_drops: Arc<NetDrops>,
+        listeners: Vec<Listeners>,
+    ) -> Self {
+        Self { config, rules, counters, drops, upstream_drops, listeners: Mutex::new(listeners) }
+    }
+
+    /// Datagrams that the kernel dropped on a net's public sockets.
+    pub fn kernel_drops(&self, net: NetId) -> KernelDrops {
+        for (_, listener) in self.listeners().iter().flat_map(Listeners::iter) {
+            if listener.net == net {
+                listener.account();
+            }
+        }
+        self.drops[usize::from(net.0)].get()
+    }
+
+    /// Datagrams that the kernel dropped on upstream sockets, up to a second late.
+    pub fn upstream_kernel_drops(&self) -> KernelDrops {
+        self.upstream_drops.get()
+    }
+
+    /// The public sockets of each worker.
+    pub(in crate::datapath) fn listeners(&self) -> MutexGuard<'_, Vec<Listeners>> {
+        // It is only ever read, or emptied.
+        self.listeners.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// What the kernel dropped, by net.
+    pub(in crate::datapath) fn drops(&self) -> &[Arc<NetDrops>] {
+        &self.drops
+    }
+
+    /// What the kernel dropped, by the names of the nets.
+    pub(in crate::datapath) fn drops_by_name(&self) -> HashMap<&str, &Arc<NetDrops>> {
+        let names = self.config.table.nets().iter().map(|net| net.name.as_str());
+        names.zip(&self.drops).collect()
+    }
+
+    /// Lets go of the sockets.
+    pub(in crate::datapath) fn retire(&self) {
+        self.listeners().clear();
+    }
+}

@@ -1,0 +1,348 @@
+//! The kernel's part of the checks: a classic BPF program on a public socket refuses what cannot
+//! pass, before it is queued, copied, or wakes the worker.
+//!
+//! It looks at lengths, header and password, on a socket of all addresses also at where a datagram
+//! was sent to, never at who sent it, and never refuses what the relay would accept: what it cannot
+//! decide it lets through. It needs no privilege.
+
+use std::net::{IpAddr, Ipv4Addr, Ipv6Addr};
+
+use libc::{
+    BPF_ABS, BPF_ADD, BPF_ALU, BPF_AND, BPF_B, BPF_IMM, BPF_IND, BPF_JA, BPF_JEQ, BPF_JGE, BPF_JGT,
+    BPF_JMP, BPF_JSET, BPF_K, BPF_LD, BPF_LDX, BPF_LEN, BPF_MEM, BPF_MISC, BPF_ST, BPF_SUB,
+    BPF_TAX, BPF_W, BPF_X,
+};
+
+use crate::nat::{Credential, DropReason, Net, NetId, Table};
+use crate::pnet::wire::{self, Header, Password};
+
+use crate::datapath::kernel_filter::assembler::{Program, To};
+
+/// More passwords than that are not compared in the kernel: a program is too long for them.
+const MOST_PASSWORDS: usize = 40;
+
+/// Offset of the destination address, counted from the IPv4 header, and from the IPv6 header.
+const IPV4_DESTINATION: u32 = libc::SKF_NET_OFF as u32 + 16;
+const IPV6_DESTINATION: u32 = libc::SKF_NET_OFF as u32 + 24;
+/// Offset of the datagram in what the program sees, which begins with the UDP header.
+const DATAGRAM: u32 = 8;
+const ROUTE: u32 = DATAGRAM + Header::LEN as u32;
+/// Data-field-format: behind the route and control-status, both of which it is counted from.
+const DATA_FIELD_FORMAT: u32 = ROUTE + 1;
+/// Control-status and data-field-format.
+const CONTROL: u32 = 2;
+const PASSWORD: u32 = Password::LEN as u32;
+
+/// Bit 8 of a route octet: a source.
+const SOURCE: u32 = 0x80;
+/// Bits of the data-field-format that count data octets.
+const DATA_SIZE: u32 = 0x3f;
+
+/// Whether two nets of two tables have the same program.
+pub(in crate::datapath) fn is_same(one: (&Table, NetId), other: (&Table, NetId)) -> bool {
+    let (net, other_net) = (one.0.net(one.1), other.0.net(other.1));
+    let same = |(one, other): (&Credential, &Credential)| {
+        bool::from(one.password.matches(other.password.octets()))
+    };
+    one.0.header == other.0.header
+        && net.allow_without_password == other_net.allow_without_password
+        && net.credentials.len() == other_net.credentials.len()
+        && net.credentials.iter().zip(&other_net.credentials).all(same)
+}
+
+/// Whether the prefilter spares the worker most of the datagrams that are dropped for this reason.
+/// Whoever may not send, or is throttled, hardly ever has a password.
+pub(in crate::datapath) fn spares(reason: DropReason) -> bool {
+    match reason {
+        DropReason::NotUnicast
+        | DropReason::TooShort
+        | DropReason::TooLong
+        | DropReason::BadHeader
+        | DropReason::BadRoute
+        | DropReason::RouteFormat
+        | DropReason::BadLength
+        | DropReason::PasswordMissing
+        | DropReason::Unanswerable
+        | DropReason::SourceNotAllowed
+        | DropReason::Throttled
+        | DropReason::PasswordWrong => true,
+        DropReason::Broadcast
+        | DropReason::Loop
+        | DropReason::NodeMismatch
+        | DropReason::RequestLimit
+        | DropReason::FlowLimit
+        | DropReason::UpstreamExhausted
+        | DropReason::SendFailed
+        | DropReason::UnknownFlow
+        | DropReason::PasswordMismatch => false,
+    }
+}
+
+/// Refuses on a public socket what its net would refuse. A socket of one address gets nothing that
+/// was sent to another; `listen` tells whether this is one.
+pub(in crate::datapath) fn program(header: Header, net: &Net, listen: IpAddr) -> Program {
+    let shortest =
+        if net.allow_without_password { wire::MIN_DATAGRAM } else { wire::MIN_SECURE_DATAGRAM };
+    let mut program = Program::new();
+    // A broadcast to one network alone does not look like one.
+    match listen {
+        IpAddr::V4(Ipv4Addr::UNSPECIFIED) => {
+            program.step(BPF_LD | BPF_W | BPF_ABS, IPV4_DESTINATION);
+            program.compare(BPF_JEQ, Ipv4Addr::BROADCAST.to_bits(), To::Refuse, To::Next);
+            program.step(BPF_ALU | BPF_AND | BPF_K, 0xf000_0000);
+            program.compare(BPF_JEQ, 0xe000_0000, To::Refuse, To::Next);
+        }
+        IpAddr::V6(Ipv6Addr::UNSPECIFIED) => {
+            program.step(BPF_LD | BPF_B | BPF_ABS, IPV6_DESTINATION);
+            program.compare(BPF_JEQ, 0xff, To::Refuse, To::Next);
+        }
+        _ => {}
+    }
+    // Length of the datagram; kept in M[0].
+    program.step(BPF_LD | BPF_W | BPF_LEN, 0);
+    program.step(BPF_ALU | BPF_SUB | BPF_K, DATAGRAM);
+    program.compare(BPF_JGE, shortest as u32, To::Next, To::Refuse);
+    program.compare(BPF_JGT, wire::MAX_DATAGRAM as u32, To::Refuse, To::Next);
+    program.step(BPF_ST, 0);
+    // Header.
+    program.step(BPF_LD | BPF_W | BPF_ABS, DATAGRAM);
+    program.compare(BPF_JEQ, u32::from_be_bytes(header.0), To::Next, To::Refuse);
+    // Two destinations; then two sources (Extended), or the remaining-route-length (IP).
+    for octet in 0..2 {
+        program.step(BPF_LD | BPF_B | BPF_ABS, ROUTE + octet);
+        program.compare(BPF_JSET, SOURCE, To::Refuse, To::Next);
+    }
+    program.step(BPF_LD | BPF_B | BPF_ABS, ROUTE + 2);
+    program.compare(BPF_JSET, SOURCE, To::Skip(4), To::Next);
+    // IP: the length of the route goes to X.
+    program.compare(BPF_JGT, (wire::MAX_ROUTE - 3) as u32, To::Refuse, To::Next);
+    program.step(BPF_ALU | BPF_ADD | BPF_K, 3);
+    program.step(BPF_MISC | BPF_TAX, 0);
+    program.step(BPF_JMP | BPF_JA, 3);
+    // Extended: likewise.
+    program.step(BPF_LD | BPF_B | BPF_ABS, ROUTE + 3);
+    program.compare(BPF_JSET, SOURCE, To::Next, To::Refuse);
+    program.step(BPF_LDX | BPF_IMM, 4);
+    // Header, route, control and data octets; in X, as the offset of what follows them.
+    program.step(BPF_LD | BPF_B | BPF_IND, DATA_FIELD_FORMAT);
+    program.step(BPF_ALU | BPF_AND | BPF_K, DATA_SIZE);
+    program.step(BPF_ALU | BPF_ADD | BPF_X, 0);
+    program.step(BPF_ALU | BPF_ADD | BPF_K, Header::LEN as u32 + CONTROL);
+    program.step(BPF_MISC | BPF_TAX, 0);
+    // What follows is a password, or nothing where that is allowed.
+    program.step(BPF_LD | BPF_MEM, 0);
+    program.step(BPF_ALU | BPF_SUB | BPF_X, 0);
+    if net.allow_without_password {
+        program.compare(BPF_JEQ, 0, To::Accept, To::Next);
+    }
+    if net.credentials.len() > MOST_PASSWORDS {
+        program.compare(BPF_JEQ, PASSWORD, To::Accept, To::Refuse);
+        return program;
+    }
+    program.compare(BPF_JEQ, PASSWORD, To::Next, To::Refuse);
+    for credential in &net.credentials {
+        let [a, b, c, d, e, f, g, h] = *credential.password.octets();
+        program.step(BPF_LD | BPF_W | BPF_IND, DATAGRAM);
+        program.compare(BPF_JEQ, u32::from_be_bytes([a, b, c, d]), To::Next, To::Skip(2));
+        program.step(BPF_LD | BPF_W | BPF_IND, DATAGRAM + 4);
+        program.compare(BPF_JEQ, u32::from_be_bytes([e, f, g, h]), To::Accept, To::Next);
+    }
+    // No password fits: on to the end that refuses.
+    program
+}
+
+#[cfg(test)]
+mod tests {
+    use std::net::UdpSocket;
+    use std::sync::Arc;
+    use std::time::{Duration, Instant};
+
+    use proptest::prelude::*;
+    use socket2::SockRef;
+
+    use super::*;
+    use crate::nat::{
+        Arrival, Chance, CloseReason, Core, Counters, Credential, Effects, FlowRecord, Limits,
+        ListenerId, Mapping, MappingId, NetKind, Rules, ToServer, UpstreamId,
+    };
+
+    fn net(passwords: &[[u8; 8]], allow_without_password: bool) -> Net {
+        let credential = |password: &[u8; 8]| Credential {
+            name: "service".into(),
+            password: Password::new(*password),
+            device_password: None,
+        };
+        Net {
+            name: "section-1".into(),
+            kind: NetKind::UdpRange { start_port: 40_000 },
+            allow: vec!["0.0.0.0/0".parse().unwrap()],
+            credentials: passwords.iter().map(credential).collect(),
+            allow_without_password,
+            require_response_password: false,
+            idle_timeout: Duration::from_secs(300),
+            max_flows: 10,
+            max_requests: None,
+            max_flow_requests: None,
+        }
+    }
+
+    /// The kernel's own word: whether a datagram gets through to a socket with the program.
+    struct Gate {
+        inside: UdpSocket,
+        outside: UdpSocket,
+    }
+
+    impl Gate {
+        fn new(net: &Net) -> Self {
+            let inside = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0)).unwrap();
+            let outside = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0)).unwrap();
+            outside.connect(inside.local_addr().unwrap()).unwrap();
+            inside.set_nonblocking(true).unwrap();
+            let any = Ipv4Addr::UNSPECIFIED.into();
+            program(Header::default(), net, any).attach(&SockRef::from(&inside)).unwrap();
+            Self { inside, outside }
+        }
+
+        fn lets_through(&self, octets: &[u8]) -> bool {
+            self.outside.send(octets).unwrap();
+            let mut buffer = [0; 256];
+            // On loopback a datagram has arrived, or not, when its send returns.
+            self.inside.recv(&mut buffer).is_ok_and(|len| buffer[..len] == *octets)
+        }
+    }
+
+    /// The relay's own word, in user space.
+    struct Judge {
+        core: Core,
+        arrival: Arrival,
+    }
+
+    struct NoSockets;
+
+    impl Effects for NoSockets {
+        fn open_upstream(&mut self, _: UpstreamId, _: NetId, _: bool) -> Option<u16> {
+            Some(50_000)
+        }
+        fn close_upstream(&mut self, _: UpstreamId) {}
+        fn flow_opened(&mut self, _: &Table, _: &FlowRecord) {}
+        fn flow_closed(&mut self, _: &Table, _: &FlowRecord, _: CloseReason) {}
+    }
+
+    impl Judge {
+        fn new(net: &Net) -> Self {
+            let server = "172.17.17.4:34379".parse().unwrap();
+            let mapping = Mapping { net: NetId(0), node_address: 4, public_port: 40_004, server };
+            let table = Table::new(Header::default(), vec![net.clone()], vec![mapping]);
+            let limits = Limits {
+                max_flows: 1,
+                wrong_password_burst: u16::MAX,
+                wrong_password_address_burst: u32::MAX,
+                wrong_password_interval: Duration::from_nanos(1),
+            };
+            let rules = Rules::new(Arc::new(table), limits);
+            let counters = Arc::new(Counters::new(&rules.table));
+            let core = Core::new(rules, counters, Instant::now(), Chance::from_seed(0));
+            let arrival = Arrival {
+                listener: ListenerId(0),
+                mapping: MappingId(0),
+                public_address: Ipv4Addr::LOCALHOST.into(),
+                client: "127.0.0.1:1".parse().unwrap(),
+            };
+            Self { core, arrival }
+        }
+
+        fn judge(&mut self, octets: &[u8]) -> Result<ToServer, DropReason> {
+            let mut octets = octets.to_vec();
+            self.core.request(Instant::now(), &self.arrival, &mut octets, &mut NoSockets)
+        }
+    }
+
+    /// Figure 10's route, `len` data octets, and a tail.
+    fn request(len: u8, tail: &[u8]) -> Vec<u8> {
+        let mut octets = vec![2, 0, 0, 0, 0x0B, 4, 5, 2, 0x21, 0x8B, 0x83, 0x9F, 2, len];
+        octets.extend((0..len).collect::<Vec<_>>());
+        octets.extend(tail);
+        octets
+    }
+
+    #[test]
+    fn refuses_what_cannot_pass_and_lets_requests_through() {
+        let gate = Gate::new(&net(&[*b"PNETPASS", *b"password"], false));
+        for len in [0, 1, 2, 3, 16, 63] {
+            assert!(gate.lets_through(&request(len, b"PNETPASS")));
+            assert!(gate.lets_through(&request(len, b"password")));
+            for tail in [&b""[..], b"PNETPASX", b"XNETPASS", b"PNETword", b"PNETPASS ", b"PNETPAS"]
+            {
+                assert!(!gate.lets_through(&request(len, tail)), "{tail:?}");
+            }
+        }
+        let extended = [&[2, 0, 0, 0, 1, 4, 0x81, 0x83, 2, 0][..], b"PNETPASS"].concat();
+        assert!(gate.lets_through(&extended));
+        let simple = [&[2, 0, 0, 0, 4, 0x83, 2, 0][..], b"PNETPASS"].concat();
+        assert!(!gate.lets_through(&simple));
+        assert!(!gate.lets_through(&[]));
+        assert!(!gate.lets_through(&[0xff; 128]));
+        assert!(!gate.lets_through(&[[3].as_slice(), &request(3, b"PNETPASS")[1..]].concat()));
+    }
+
+    #[test]
+    fn without_a_password_where_the_net_allows_it() {
+        let gate = Gate::new(&net(&[*b"PNETPASS"], true));
+        assert!(gate.lets_through(&request(3, b"")));
+        assert!(gate.lets_through(&request(3, b"PNETPASS")));
+        assert!(!gate.lets_through(&request(3, b"password")));
+    }
+
+    #[test]
+    fn more_passwords_than_a_program_holds_are_left_to_the_worker() {
+        let passwords: Vec<_> = (0..=MOST_PASSWORDS as u64).map(u64::to_be_bytes).collect();
+        let gate = Gate::new(&net(&passwords, false));
+        assert!(gate.lets_through(&request(3, &passwords[MOST_PASSWORDS])));
+        assert!(gate.lets_through(&request(3, b"whatever")));
+        assert!(!gate.lets_through(&request(3, b"")));
+        let gate = Gate::new(&net(&passwords[1..], false));
+        assert!(gate.lets_through(&request(3, &passwords[MOST_PASSWORDS])));
+        assert!(!gate.lets_through(&request(3, b"whatever")));
+    }
+
+    /// Octets that are nearly a request, so that many are one.
+    fn nearly_a_request() -> impl Strategy<Value = Vec<u8>> {
+        let routes = prop_oneof![
+            Just(vec![0x0B, 4, 5, 2, 0x21, 0x8B, 0x83, 0x9F]),
+            Just(vec![0x0B, 4, 0x8B, 0x83]),
+            Just(vec![0x0B, 4, 2, 0x8B, 0x83]),
+            prop::collection::vec(any::<u8>(), 2..31),
+        ];
+        let tails =
+            prop_oneof![Just(b"PNETPASS".to_vec()), prop::collection::vec(any::<u8>(), 0..10)];
+        let data = prop::collection::vec(any::<u8>(), 0..64);
+        let slip = prop::option::of((0..8_usize, any::<u8>()));
+        (routes, data, any::<u8>(), tails, slip).prop_map(|(route, data, flags, tail, slip)| {
+            let format = (flags & 0xc0) | data.len() as u8;
+            let mut octets = [&[2, 0, 0, 0][..], &route, &[flags, format], &data, &tail].concat();
+            if let Some((place, octet)) = slip {
+                octets[place] = octet;
+            }
+            octets
+        })
+    }
+
+    proptest! {
+        #[test]
+        fn never_refuses_what_the_relay_accepts(
+            octets in prop_oneof![4 => nearly_a_request(), 1 => prop::collection::vec(any::<u8>(), 0..130)],
+            allow_without_password in any::<bool>(),
+        ) {
+            let net = net(&[*b"PNETPASS", *b"password"], allow_without_password);
+            let verdict = Judge::new(&net).judge(&octets);
+            let through = Gate::new(&net).lets_through(&octets);
+            match verdict {
+                Ok(_) => prop_assert!(through, "accepted by the relay, refused by the kernel"),
+                // The rest it decides as the relay does.
+                Err(DropReason::BadRoute | DropReason::RouteFormat | DropReason::BadLength
+                    | DropReason::Broadcast | DropReason::NodeMismatch) => {}
+                Err(reason) => prop_assert!(!through, "{reason:?} let through"),
+            }
+        }
+    }
+}

@@ -1,0 +1,135 @@
+//! What no server sent, on the sockets towards the servers: while it floods one of them, the kernel
+//! refuses it, for that socket has other clients' answers to hold.
+//!
+//! The program looks at who sent a datagram, never at what is in it, and lets every server of the
+//! table through.
+
+use std::collections::BTreeMap;
+use std::io;
+use std::net::{IpAddr, Ipv4Addr};
+
+use libc::{BPF_ABS, BPF_ALU, BPF_AND, BPF_H, BPF_JEQ, BPF_K, BPF_LD, BPF_W};
+
+use crate::nat::{NetKind, Table};
+
+use crate::datapath::kernel_filter::assembler::{MOST_STEPS, Program, To};
+
+/// Offset of the source port in what the program sees, which begins with the UDP header.
+const SOURCE_PORT: u32 = 0;
+/// Of the source address, counted from the IPv4 header.
+const SOURCE: u32 = libc::SKF_NET_OFF as u32 + 12;
+
+/// A plant section's network, /24, or a single server's address.
+const SECTION: u32 = 0xffff_ff00;
+const SERVER: u32 = 0xffff_ffff;
+
+/// Refuses on an IPv4 socket what comes from no server of the table. An error where a program cannot
+/// hold all.
+pub(in crate::datapath) fn program(table: &Table) -> io::Result<Program> {
+    let mut networks: BTreeMap<(u16, u32), Vec<u32>> = BTreeMap::new();
+    for mapping in table.mappings() {
+        let IpAddr::V4(address) = mapping.server.ip() else { continue };
+        let mask = match table.net(mapping.net).kind {
+            NetKind::UdpRange { .. } => SECTION,
+            NetKind::Server => SERVER,
+        };
+        let network = Ipv4Addr::to_bits(address) & mask;
+        let of_port = networks.entry((mapping.server.port(), mask)).or_default();
+        if !of_port.contains(&network) {
+            of_port.push(network);
+        }
+    }
+    let steps: usize = networks.values().map(|of_port| of_port.len() + 4).sum();
+    if steps > MOST_STEPS {
+        return Err(io::Error::other("too many plant sections for a program"));
+    }
+    let mut program = Program::new();
+    for ((port, mask), networks) in networks {
+        let others = To::Skip(networks.len() as u8 + 2);
+        program.step(BPF_LD | BPF_H | BPF_ABS, SOURCE_PORT);
+        program.compare(BPF_JEQ, port.into(), To::Next, others);
+        program.step(BPF_LD | BPF_W | BPF_ABS, SOURCE);
+        program.step(BPF_ALU | BPF_AND | BPF_K, mask);
+        for network in networks {
+            program.compare(BPF_JEQ, network, To::Accept, To::Next);
+        }
+    }
+    Ok(program)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::net::{SocketAddr, UdpSocket};
+    use std::time::Duration;
+
+    use socket2::SockRef;
+
+    use super::*;
+    use crate::nat::{Mapping, Net, NetId};
+    use crate::pnet::wire::Header;
+
+    fn net(kind: NetKind) -> Net {
+        Net {
+            name: String::new(),
+            kind,
+            allow: Vec::new(),
+            credentials: Vec::new(),
+            allow_without_password: true,
+            require_response_password: false,
+            idle_timeout: Duration::from_secs(300),
+            max_flows: 10,
+            max_requests: None,
+            max_flow_requests: None,
+        }
+    }
+
+    fn mapping(net: u16, server: SocketAddr) -> Mapping {
+        Mapping { net: NetId(net), node_address: 1, public_port: 1, server }
+    }
+
+    /// A socket on a port of loopback that is free.
+    fn peer(address: &str) -> UdpSocket {
+        UdpSocket::bind((address, 0)).unwrap()
+    }
+
+    #[test]
+    fn servers_get_through_and_nobody_else() {
+        let (section, press) = (peer("127.88.17.3"), peer("127.88.18.7"));
+        let nets = vec![net(NetKind::UdpRange { start_port: 1 }), net(NetKind::Server)];
+        let mappings = vec![
+            mapping(0, section.local_addr().unwrap()),
+            mapping(1, press.local_addr().unwrap()),
+            mapping(1, "[::1]:34379".parse().unwrap()),
+        ];
+        let socket = peer("127.0.0.1");
+        socket.set_nonblocking(true).unwrap();
+        let to = socket.local_addr().unwrap();
+        let table = Table::new(Header::default(), nets, mappings);
+        program(&table).unwrap().attach(&SockRef::from(&socket)).unwrap();
+        let gets_through = |from: &UdpSocket| {
+            from.send_to(b"answer", to).unwrap();
+            // On loopback a datagram has arrived, or not, when its send returns.
+            socket.recv(&mut [0; 8]).is_ok()
+        };
+        let at = |address: &str, like: &UdpSocket| {
+            UdpSocket::bind((address, like.local_addr().unwrap().port())).unwrap()
+        };
+        assert!(gets_through(&section) && gets_through(&press));
+        assert!(gets_through(&at("127.88.17.4", &section)), "another node of the section");
+        assert!(!gets_through(&at("127.88.18.8", &press)), "a neighbour of a single server");
+        assert!(!gets_through(&at("127.88.19.3", &section)), "another network");
+        assert!(!gets_through(&peer("127.88.17.3")), "another port");
+        assert!(!gets_through(&peer("127.0.0.1")));
+    }
+
+    #[test]
+    fn where_there_are_too_many_sections_there_is_no_program() {
+        let table = |sections: u16| {
+            let server = |n: u16| SocketAddr::from(([10, (n >> 8) as u8, n as u8, 1], 34379));
+            let mappings = (0..sections).map(|n| mapping(0, server(n))).collect();
+            Table::new(Header::default(), vec![net(NetKind::UdpRange { start_port: 1 })], mappings)
+        };
+        assert!(program(&table(251)).is_ok());
+        assert!(program(&table(252)).is_err());
+    }
+}

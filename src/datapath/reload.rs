@@ -1,0 +1,300 @@
+//! Another configuration for a router at work.
+//!
+//! One that is sound comes into force, whatever becomes of single sockets: what it withdraws is
+//! withdrawn. Each worker goes over between two datagrams, and the rest of the program sees the new
+//! one as a whole. What cannot be had is named; missing sockets are tried again later.
+
+use std::collections::BTreeMap;
+use std::sync::mpsc;
+use std::sync::{Arc, PoisonError};
+use std::time::{Duration, Instant};
+
+use crate::config::{self, Changes, Config, Faults, NotInForce};
+use crate::nat::{Counters, ListenerId, Net, Succession, Transition};
+
+use crate::datapath::active_config::ActiveConfig;
+use crate::datapath::router::{Handle, Router, addresses, lock};
+use crate::datapath::socket::descriptors;
+use crate::datapath::socket::filtered::NetDrops;
+use crate::datapath::socket::listen::chain;
+use crate::datapath::socket::public::Listeners;
+use crate::datapath::socket::setup::{self, Missing, Opened};
+use crate::datapath::socket::worker::{self, Command, WorkerReload};
+
+/// How long a reload waits for the relay's own upstream sockets, where they are in the way of public
+/// ones and take last answers. After that they are missing for a while.
+const LAST_ANSWERS: Duration = Duration::from_millis(500);
+
+/// Faults that are kept for who asks how the last reload went.
+const MOST_FAULTS: usize = 100;
+
+/// Why another configuration did not come into force.
+#[derive(Debug, thiserror::Error)]
+pub enum ReloadError {
+    /// It is not sound.
+    #[error(transparent)]
+    Faults(#[from] Faults),
+    /// Its files are not to be had.
+    #[error(
+        "reading the configuration takes longer than {} s; is a disk or a network share stuck? The \
+         configuration in force stays", .0.as_secs()
+    )]
+    TooSlow(Duration),
+    /// Nor are those of an earlier reload, which have to come first.
+    #[error(
+        "an earlier reload still reads its files; is a disk or a network share stuck? The \
+         configuration in force stays"
+    )]
+    StillReading,
+    /// The workers are ending.
+    #[error("the relay is stopping")]
+    Stopping,
+}
+
+/// How the last reload went; at first, the start.
+#[derive(Clone, Debug)]
+pub struct LastReload {
+    /// Reloads that have begun since the start.
+    pub begun: u64,
+    /// Which of them the rest tells of; 0: the start.
+    pub number: u64,
+    /// Why it changed nothing.
+    pub error: Option<String>,
+    /// The faults of its configuration, one a line, as far as they are the reason.
+    pub faults: Vec<String>,
+    /// Settings of the configuration in force that need a restart.
+    settled: Vec<NotInForce>,
+    /// Its public sockets that are still to be had.
+    missing: Vec<NotInForce>,
+    /// When the configuration in force came into force.
+    pub success_at: Instant,
+}
+
+impl Default for LastReload {
+    fn default() -> Self {
+        Self {
+            begun: 0,
+            number: 0,
+            error: None,
+            faults: Vec::new(),
+            settled: Vec::new(),
+            missing: Vec::new(),
+            success_at: Instant::now(),
+        }
+    }
+}
+
+impl LastReload {
+    /// Whether all of the configuration that was last read is in force.
+    pub fn successful(&self) -> bool {
+        self.error.is_none() && self.settled.is_empty() && self.missing.is_empty()
+    }
+
+    /// What the last sound configuration has and what is not in force all the same.
+    pub fn not_in_force(&self) -> impl Iterator<Item = &NotInForce> {
+        self.settled.iter().chain(&self.missing)
+    }
+
+    fn refused(&mut self, error: &ReloadError) {
+        (self.error, self.faults) = match error {
+            ReloadError::Faults(Faults(faults)) => {
+                let more = faults.len().saturating_sub(MOST_FAULTS);
+                let faults = faults.iter().take(MOST_FAULTS).map(ToString::to_string);
+                let more = (more > 0).then(|| format!("{more} more faults"));
+                let error = "the configuration is not sound".to_owned();
+                (Some(error), faults.chain(more).collect())
+            }
+            error => (Some(chain(error)), Vec::new()),
+        };
+    }
+}
+
+impl Router {
+    /// Notes that a reload begins; [`reload`](Self::reload) ends it.
+    pub fn begin_reload(&self) {
+        Arc::make_mut(&mut lock(&self.last_reload)).begun += 1;
+    }
+
+    /// Brings a configuration into force that was just read, as far as it can be, or says why not;
+    /// then the one in force stays, whole. Blocks until every worker has gone over.
+    pub fn reload(&self, read: Result<Config, ReloadError>) -> Result<Changes, ReloadError> {
+        let outcome = read.and_then(|config| self.replace(config));
+        let mut last = lock(&self.last_reload);
+        let last = Arc::make_mut(&mut last);
+        last.number = last.begun;
+        match &outcome {
+            Ok(_) => {
+                (last.error, last.faults) = (None, Vec::new());
+                last.success_at = Instant::now();
+            }
+            Err(error) => last.refused(error),
+        }
+        outcome
+    }
+
+    /// Whether public sockets are still to be had; see [`retry`](Self::retry).
+    pub fn misses_sockets(&self) -> bool {
+        !lock(&self.last_reload).missing.is_empty()
+    }
+
+    /// Tries again to open the public sockets that are missing. Blocks until every worker has those
+    /// that were had.
+    pub fn retry(&self) {
+        let _changing = self.changing.blocking_lock();
+        if self.is_ready()
+            && let Ok(missing) = self.open_missing()
+        {
+            Arc::make_mut(&mut lock(&self.last_reload)).missing =
+                setup::told(&missing, &self.ports);
+        }
+    }
+
+    fn replace(&self, mut config: Config) -> Result<Changes, ReloadError> {
+        let _changing = self.changing.blocking_lock();
+        if !self.is_ready() {
+            return Err(ReloadError::Stopping);
+        }
+        let old = self.in_force();
+        let settled = config::keep_settled(&old.config, &mut config);
+        let mut changes = Changes::between(&old.config, &config);
+
+        let known = old.drops_by_name();
+        let drops_of = |net: &Net| known.get(net.name.as_str()).copied().cloned();
+        let drops = config.table.nets().iter().map(|net| drops_of(net).unwrap_or_default());
+        let drops: Vec<_> = drops.collect();
+        // No new upstream socket gets in the way of a new public one.
+        self.ports.keep_out_of(&[&old.config, &config]);
+        let Opened { listeners, mut missing } = self.open(&config, &drops, &old);
+        changes.flows_closed = self.go_over(&old, config, drops, listeners)?;
+        drop(old);
+        self.ports.keep_out_of(&[&self.in_force().config]);
+        if !missing.is_empty() {
+            // What the old configuration had is free now, and soon what upstream sockets have.
+            self.close_left();
+            missing = self.open_missing()?;
+        }
+
+        let mut last = lock(&self.last_reload);
+        let last = Arc::make_mut(&mut last);
+        (last.settled, last.missing) = (settled, setup::told(&missing, &self.ports));
+        changes.not_in_force = last.not_in_force().cloned().collect();
+        Ok(changes)
+    }
+
+    /// Has the workers close upstream sockets whose ports are wanted for public ones: each when its
+    /// last answers are in. Waits for that, but not for long.
+    fn close_left(&self) {
+        let end = Instant::now() + LAST_ANSWERS;
+        let ask = |worker: &Handle| {
+            let (reply, answer) = mpsc::sync_channel(1);
+            worker.ask(Command::CloseLeft(reply));
+            answer
+        };
+        let answers: Vec<_> = self.workers.iter().map(ask).collect();
+        for answer in answers {
+            // None within the time, or from a worker that ends: what is missing is tried again.
+            let _ = answer.recv_timeout(end.saturating_duration_since(Instant::now()));
+        }
+    }
+
+    /// Opens what is missing of the configuration in force, and tells what still is.
+    fn open_missing(&self) -> Result<Vec<Missing>, ReloadError> {
+        let now = self.in_force();
+        let drops = now.drops().to_vec();
+        let Opened { listeners, missing } = self.open(&now.config, &drops, &now);
+        let mut new = BTreeMap::<_, Vec<_>>::new();
+        for id in new_ones(&listeners, &now.listeners()) {
+            let Some(listener) = listeners.first().and_then(|all| all.get(id)) else { continue };
+            new.entry(listener.address.ip()).or_default().push(listener.address.port());
+        }
+        if !new.is_empty() {
+            self.go_over(&now, now.config.clone(), drops, listeners)?;
+        }
+        for (ip, ports) in new {
+            tracing::info!(listen = setup::ports_of(ip, ports), "listening");
+        }
+        Ok(missing)
+    }
+
+    /// The sockets of a configuration, watched by the workers' epoll.
+    fn open(&self, config: &Config, drops: &[Arc<NetDrops>], old: &ActiveConfig) -> Opened {
+        let share = descriptors::share(addresses(config), self.workers.len());
+        let before = old.listeners().clone();
+        let mut opened = setup::open(config, drops, &before, self.workers.len(), &share);
+        for id in new_ones(&opened.listeners, &before) {
+            let each = self.workers.iter().zip(&opened.listeners);
+            let mut watched = each.filter_map(|(worker, all)| Some((worker, all.get(id)?)));
+            let watched =
+                watched.try_for_each(|(worker, new)| worker::watch(&worker.epoll, id, new));
+            let Err(why) = watched else { continue };
+            let address = opened.listeners.first().and_then(|all| Some(all.get(id)?.address));
+            opened.missing.extend(address.map(|address| Missing { address, why }));
+            opened.listeners.iter_mut().for_each(|all| all.remove(id));
+        }
+        opened
+    }
+
+    /// Has the workers go over to another configuration with these sockets, and tells how many flows
+    /// were closed by it.
+    fn go_over(
+        &self,
+        old: &ActiveConfig,
+        config: Config,
+        drops: Vec<Arc<NetDrops>>,
+        listeners: Vec<Listeners>,
+    ) -> Result<usize, ReloadError> {
+        let share = descriptors::share(addresses(&config), self.workers.len());
+        let (was, is) = (&old.config.table, &config.table);
+        let rules = old.rules.followed_by(Arc::clone(is), config.limits);
+        let before = old.listeners().clone();
+        let gone = listeners.iter().zip(&before).flat_map(|(is, was)| is.gone(was)).collect();
+        drop(before);
+        let transition = Arc::new(Transition::new(&old.rules, &rules, gone));
+        let counters: Vec<_> =
+            old.counters.iter().map(|worker| Arc::new(worker.followed_by(was, is))).collect();
+        let next = |listeners: &Listeners, counters: &Arc<Counters>| WorkerReload {
+            succession: Succession {
+                rules: rules.clone(),
+                counters: Arc::clone(counters),
+                transition: Arc::clone(&transition),
+            },
+            listeners: listeners.clone(),
+            upstream_limit: share.upstreams,
+            runtime: config.runtime.clone(),
+        };
+        let mut answers = Vec::new();
+        for ((worker, listeners), counters) in self.workers.iter().zip(&listeners).zip(&counters) {
+            let (reply, answer) = mpsc::sync_channel(1);
+            worker.ask(Command::Reload(Box::new(next(listeners, counters)), reply));
+            answers.push(answer);
+        }
+        let mut flows_closed = 0;
+        for answer in answers {
+            // None comes from a worker that has panicked: it takes the process along.
+            flows_closed += answer.recv().map_err(|_| ReloadError::Stopping)?;
+        }
+        if config.runtime.receive_buffer != old.config.runtime.receive_buffer {
+            resize_buffers(&config, &listeners);
+        }
+        let upstream_drops = Arc::clone(&old.upstream_drops);
+        let next =
+            Arc::new(ActiveConfig::new(config, rules, counters, drops, upstream_drops, listeners));
+        *self.in_force.write().unwrap_or_else(PoisonError::into_inner) = next;
+        old.retire();
+        Ok(flows_closed)
+    }
+}
+
+/// The places of sockets that are not in `before`.
+fn new_ones(listeners: &[Listeners], before: &[Listeners]) -> Vec<ListenerId> {
+    let (Some(now), Some(before)) = (listeners.first(), before.first()) else { return Vec::new() };
+    now.iter().map(|(id, _)| id).filter(|&id| !now.keeps(id, before)).collect()
+}
+
+fn resize_buffers(config: &Config, listeners: &[Listeners]) {
+    for (_, listener) in listeners.iter().flat_map(Listeners::iter) {
+        // What the kernel did not grant is told below.
+        let _ = listener.socket.socket().set_recv_buffer_size(config.runtime.receive_buffer);
+    }
+    setup::tell_short_buffers(config, listeners);
+}

@@ -1,0 +1,321 @@
+//! The router as the rest of the program sees it: started with a configuration, asked for figures,
+//! given another configuration, stopped.
+//!
+//! Every socket is bound before the first worker runs, so a router starts whole or not at all.
+
+use std::io;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{self, Sender};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock};
+use std::time::{Duration, Instant};
+
+use nix::sys::epoll::{Epoll, EpollCreateFlags};
+use nix::sys::eventfd::{EfdFlags, EventFd};
+use tokio::sync::oneshot;
+use tokio::time::timeout;
+
+use crate::config::Config;
+use crate::nat::{Chance, Core, Counters, FlowRecord, Rules, Table};
+use crate::thread;
+
+use crate::datapath::active_config::ActiveConfig;
+use crate::datapath::reload::LastReload;
+use crate::datapath::socket::descriptors::{self, Plan, Share};
+use crate::datapath::socket::filtered::NetDrops;
+use crate::datapath::socket::listen;
+use crate::datapath::socket::port_pool::Ports;
+use crate::datapath::socket::public::Listeners;
+use crate::datapath::socket::setup::{self, Missing, Opened, StartError};
+use crate::datapath::socket::upstream::Shared;
+use crate::datapath::socket::worker::{self, Command, Worker, WorkerSetup};
+use crate::observe::audit::Audit;
+
+/// How long a worker may take to tell its flows.
+const ANSWER_TIME: Duration = Duration::from_secs(1);
+
+/// A running router.
+#[derive(Debug)]
+pub struct Router {
+    pub(in crate::datapath) in_force: RwLock<Arc<ActiveConfig>>,
+    pub(in crate::datapath) last_reload: Mutex<Arc<LastReload>>,
+    /// Held while the workers go over to another configuration, or are told to end.
+    pub(in crate::datapath) changing: tokio::sync::Mutex<()>,
+    audit: Arc<Audit>,
+    /// Of the upstream sockets.
+    pub(in crate::datapath) ports: Arc<Ports>,
+    pub(in crate::datapath) workers: Vec<Handle>,
+    /// Each is dropped by its worker at its end.
+    ends: Mutex<Vec<oneshot::Receiver<()>>>,
+    ready: AtomicBool,
+    started: Instant,
+}
+
+/// The way to a worker.
+#[derive(Debug)]
+pub(in crate::datapath) struct Handle {
+    commands: Sender<Command>,
+    wake: Arc<EventFd>,
+    pub(in crate::datapath) epoll: Arc<Epoll>,
+}
+
+/// A router with all of its sockets and none of its threads.
+pub struct Bound {
+    router: Router,
+    workers: Vec<Worker>,
+}
+
+impl Bound {
+    /// Starts the workers. They inherit what the calling thread may do.
+    pub fn start(self) -> Result<Router, StartError> {
+        let Self { mut router, workers } = self;
+        let mut ends = Vec::new();
+        for (index, worker) in workers.into_iter().enumerate() {
+            let (ending, end) = oneshot::channel::<()>();
+            thread::start(format!("worker-{index}"), move || {
+                let _ending = ending;
+                worker.run();
+            })?;
+            ends.push(end);
+        }
+        router.ends = Mutex::new(ends);
+        router.ready = AtomicBool::new(true);
+        Ok(router)
+    }
+}
+
+impl Router {
+    /// Binds every socket and starts the workers.
+    pub fn start(config: Config) -> Result<Self, StartError> {
+        Self::bind(config)?.start()
+    }
+
+    /// Binds every socket, and starts no thread yet.
+    pub fn bind(config: Config) -> Result<Bound, StartError> {
+        let started = Instant::now();
+        listen::look_up();
+        let plan = descriptors::plan(addresses(&config), config.runtime.workers)?;
+        let drops: Vec<Arc<NetDrops>> =
+            config.table.nets().iter().map(|_| Arc::default()).collect();
+        let addresses = addresses(&config);
+        let share = Share { public_sockets: addresses, upstreams: plan.upstreams, lack: None };
+        let Opened { listeners, missing } = setup::open(&config, &drops, &[], plan.workers, &share);
+        if let Some(Missing { why, .. }) = missing.into_iter().next() {
+            return Err(why);
+        }
+        setup::tell_short_buffers(&config, &listeners);
+
+        let rules = Rules::new(Arc::clone(&config.table), config.limits);
+        let audit = Arc::new(Audit::new(config.runtime.audit_lines));
+        let ports = Arc::new(Ports::new(&config));
+        let upstream_drops: Arc<NetDrops> = Arc::default();
+        let shared = Shared {
+            audit: Arc::clone(&audit),
+            ports: Arc::clone(&ports),
+            drops: Arc::clone(&upstream_drops),
+        };
+        let (mut handles, mut counters, mut workers) = (Vec::new(), Vec::new(), Vec::new());
+        for listeners in &listeners {
+            let counter = Arc::new(Counters::new(&config.table));
+            let core =
+                Core::new(rules.clone(), Arc::clone(&counter), started, Chance::of_the_system());
+            let (handle, worker) =
+                build_worker(&config, core, listeners.clone(), &plan, started, &shared)?;
+            handles.push(handle);
+            counters.push(counter);
+            workers.push(worker);
+        }
+        let in_force = ActiveConfig::new(config, rules, counters, drops, upstream_drops, listeners);
+        let router = Self {
+            in_force: RwLock::new(Arc::new(in_force)),
+            last_reload: Mutex::default(),
+            changing: tokio::sync::Mutex::default(),
+            audit,
+            ports,
+            workers: handles,
+            ends: Mutex::default(),
+            ready: AtomicBool::new(false),
+            started,
+        };
+        Ok(Bound { router, workers })
+    }
+
+    /// A router without sockets and threads, for tests of what asks it for figures.
+    #[cfg(test)]
+    pub(crate) fn idle(config: Config, workers: usize) -> Arc<Self> {
+        let counters = (0..workers).map(|_| Arc::new(Counters::new(&config.table))).collect();
+        let drops = config.table.nets().iter().map(|_| Arc::default()).collect();
+        let audit = Arc::new(Audit::new(config.runtime.audit_lines));
+        let ports = Arc::new(Ports::new(&config));
+        let rules = Rules::new(Arc::clone(&config.table), config.limits);
+        let in_force =
+            ActiveConfig::new(config, rules, counters, drops, Arc::default(), Vec::new());
+        Arc::new(Self {
+            in_force: RwLock::new(Arc::new(in_force)),
+            last_reload: Mutex::default(),
+            changing: tokio::sync::Mutex::default(),
+            audit,
+            ports,
+            workers: Vec::new(),
+            ends: Mutex::default(),
+            ready: AtomicBool::new(false),
+            started: Instant::now(),
+        })
+    }
+
+    /// Takes no more requests, waits for the answers that are due, at most for the configured drain
+    /// time, and ends the workers. Done once they have ended.
+    pub async fn shut_down(&self) {
+        self.ready.store(false, Ordering::Release);
+        {
+            let _unchanged = self.changing.lock().await;
+            let end = Instant::now() + self.in_force().config.runtime.drain;
+            self.workers.iter().for_each(|worker| worker.ask(Command::Drain(end)));
+        }
+        let ends = std::mem::take(&mut *lock(&self.ends));
+        for end in ends {
+            // A worker that panicked has told so itself.
+            let _ = end.await;
+        }
+    }
+
+    /// The configuration in force, with its counters.
+    pub fn in_force(&self) -> Arc<ActiveConfig> {
+        Arc::clone(&self.in_force.read().unwrap_or_else(PoisonError::into_inner))
+    }
+
+    /// How the last reload went.
+    pub fn last_reload(&self) -> Arc<LastReload> {
+        Arc::clone(&lock(&self.last_reload))
+    }
+
+    /// What bounds the audit log.
+    pub(crate) fn audit(&self) -> &Audit {
+        &self.audit
+    }
+
+    /// Whether every socket is bound and no shutdown has begun.
+    pub fn is_ready(&self) -> bool {
+        self.ready.load(Ordering::Acquire)
+    }
+
+    /// When the router started; [`NodeCounters::last_response`](crate::nat::NodeCounters) counts
+    /// from here.
+    pub fn started(&self) -> Instant {
+        self.started
+    }
+
+    /// Up to `limit` open flows, by the table that they belong to. Asks the workers; none when one
+    /// of them does not answer within a second, or has ended.
+    pub async fn flows(&self, limit: usize) -> Option<Vec<(Arc<Table>, Vec<FlowRecord>)>> {
+        let mut flows = self.ask(ANSWER_TIME, |reply| Command::Flows(limit, reply)).await?;
+        let mut left = limit;
+        for (_, flows) in &mut flows {
+            flows.truncate(left);
+            left -= flows.len();
+        }
+        Some(flows)
+    }
+
+    /// Whether every worker answers within this time.
+    pub async fn is_alive(&self, within: Duration) -> bool {
+        self.ask(within, Command::Ping).await.is_some()
+    }
+
+    /// What the workers answer, if each of them does within this time.
+    async fn ask<T>(
+        &self,
+        time: Duration,
+        command: impl Fn(tokio::sync::mpsc::Sender<T>) -> Command,
+    ) -> Option<Vec<T>> {
+        // Room for all answers: no worker waits for somebody to take his.
+        let (reply, mut answers) = tokio::sync::mpsc::channel(self.workers.len().max(1));
+        self.workers.iter().for_each(|worker| worker.ask(command(reply.clone())));
+        drop(reply);
+        let mut all = Vec::with_capacity(self.workers.len());
+        let gather = async {
+            while let Some(answer) = answers.recv().await {
+                all.push(answer);
+            }
+        };
+        let _ = timeout(time, gather).await;
+        (all.len() == self.workers.len()).then_some(all)
+    }
+}
+
+impl Handle {
+    pub(in crate::datapath) fn ask(&self, command: Command) {
+        // A worker that has ended answers nothing; its channel is closed.
+        if self.commands.send(command).is_ok() {
+            let _ = self.wake.write(1);
+        }
+    }
+}
+
+/// A worker and the way to it.
+fn build_worker(
+    config: &Config,
+    core: Core,
+    listeners: Listeners,
+    plan: &Plan,
+    started: Instant,
+    shared: &Shared,
+) -> Result<(Handle, Worker), StartError> {
+    let epoll = Arc::new(Epoll::new(EpollCreateFlags::EPOLL_CLOEXEC).map_err(io::Error::from)?);
+    for (id, listener) in listeners.iter() {
+        worker::watch(&epoll, id, listener)?;
+    }
+    let flags = EfdFlags::EFD_NONBLOCK | EfdFlags::EFD_CLOEXEC;
+    let wake = Arc::new(EventFd::from_flags(flags).map_err(io::Error::from)?);
+    let (commands, inbox) = mpsc::channel();
+    let handle = Handle { commands, wake: Arc::clone(&wake), epoll: Arc::clone(&epoll) };
+    let worker = Worker::new(WorkerSetup {
+        core,
+        listeners,
+        table: Arc::clone(&config.table),
+        shared: shared.clone(),
+        upstream_limit: plan.upstreams,
+        runtime: config.runtime.clone(),
+        started,
+        commands: inbox,
+        epoll,
+        wake,
+    })?;
+    Ok((handle, worker))
+}
+
+/// Sockets that each worker needs for its public ports.
+pub(in crate::datapath) fn addresses(config: &Config) -> usize {
+    config.table.mappings().len() * config.listen.len()
+}
+
+/// What a poisoned lock guards here is whole all the same: it is changed in one step.
+pub(in crate::datapath) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use super::*;
+    use crate::config;
+
+    #[test]
+    fn is_alive_as_long_as_every_worker_answers() {
+        let text = "[public]\nlisten = [\"127.0.0.1\"]\n[runtime]\nworkers = 2\n\
+                    [[server]]\nname = \"press\"\npublic_port = 20999\nnode = 7\n\
+                    address = \"127.9.9.7:34379\"\nallow = [\"127.0.0.1\"]\n\
+                    allow_without_password = true";
+        let read = || config::parse(text, Path::new("pnet-nat.toml"));
+        let router = Router::start(read().unwrap().0).unwrap();
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_time().build().unwrap();
+        let is_alive = || runtime.block_on(router.is_alive(Duration::from_secs(20)));
+        assert!(is_alive());
+        let changes = router.reload(Ok(read().unwrap().0)).unwrap();
+        assert_eq!(changes, config::Changes::default());
+        runtime.block_on(router.shut_down());
+        assert!(!is_alive(), "they have ended");
+        let refused = router.reload(Ok(read().unwrap().0)).unwrap_err();
+        assert_eq!(refused.to_string(), "the relay is stopping");
+    }
+}

@@ -1,0 +1,371 @@
+//! Which ports the upstream sockets have.
+//!
+//! The relay picks them itself: at random (RFC 6056), of those that the host lends to programs, and
+//! none that belongs to the NAT table, or a later configuration could not listen on it. What the host
+//! lends is read once, for the confinement hides it later.
+
+use std::fs;
+use std::io;
+use std::net::{IpAddr, SocketAddr};
+use std::ops::RangeInclusive;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering::SeqCst};
+
+use socket2::Socket;
+
+use crate::config::Config;
+use crate::nat::NetKind;
+
+const WORDS: usize = 1 << 10;
+
+/// Linux's `ip_local_port_range`, where it cannot be read.
+const USUAL: RangeInclusive<u16> = 32_768..=60_999;
+
+/// How many ports of other programs are passed over before there is said to be none left.
+const TRIES: usize = 128;
+
+/// P-NET's own ports (R-1): a node may be started on this host.
+const P_NET: RangeInclusive<u16> = 34_378..=34_379;
+
+/// The last port of a block, as seen from its start port: a broadcast address (R-11).
+const BLOCK_END: u16 = 127;
+
+/// The ports of the upstream sockets of all workers.
+#[derive(Debug)]
+pub(in crate::datapath) struct Ports {
+    host: Host,
+    /// Those that may be taken, under the configurations that were named last.
+    allowed: PortSet,
+    /// Those that upstream sockets have.
+    taken: PortSet,
+}
+
+/// A port that is ours, until this is dropped. Drop its socket first.
+#[derive(Debug)]
+pub(in crate::datapath) struct Port {
+    ports: Arc<Ports>,
+    number: u16,
+}
+
+/// What the host says about its ports.
+#[derive(Debug)]
+struct Host {
+    /// What it lends to programs that ask for any port.
+    lent: Vec<RangeInclusive<u16>>,
+    /// What it lends to nobody.
+    reserved: Vec<RangeInclusive<u16>>,
+    /// Below that, a port needs a privilege.
+    lowest: u16,
+}
+
+impl Ports {
+    /// Those of this host, outside what the configuration needs itself. To be called before the
+    /// confinement, for what is read here.
+    pub(in crate::datapath) fn new(config: &Config) -> Self {
+        // In a static program the system's generator is a file: from here on it is open.
+        let _ = getrandom::u32();
+        Self::of_host(Host::read(), config)
+    }
+
+    fn of_host(host: Host, config: &Config) -> Self {
+        let ports = Self { host, allowed: PortSet::default(), taken: PortSet::default() };
+        ports.keep_out_of(&[config]);
+        ports
+    }
+
+    /// From now on, no upstream socket is opened on a port that one of these configurations needs.
+    /// One that is open already may have such a port: see [`is_taken`](Self::is_taken).
+    pub(in crate::datapath) fn keep_out_of(&self, configs: &[&Config]) {
+        let allowed = |ports: &[RangeInclusive<u16>]| {
+            let allowed = PortSet::default();
+            for range in ports {
+                let (first, last) = (*range.start(), *range.end());
+                (first.max(self.host.lowest)..=last).for_each(|port| _ = allowed.insert(port));
+            }
+            let needed = configs.iter().flat_map(|config| needed(config));
+            for port in self.host.reserved.iter().cloned().chain(needed).flatten() {
+                allowed.remove(port);
+            }
+            allowed
+        };
+        let mut next = allowed(&self.host.lent);
+        if next.is_empty() {
+            tracing::warn!(
+                "every port that the host lends belongs to a block or is reserved: sockets \
+                 towards the servers take others; see sysctl net.ipv4.ip_local_port_range"
+            );
+            next = allowed(&[1..=u16::MAX]);
+        }
+        for (word, next) in self.allowed.0.iter().zip(next.0.iter()) {
+            word.store(next.load(SeqCst), SeqCst);
+        }
+    }
+
+    /// Whether an upstream socket has this port, or is about to.
+    #[inline]
+    pub(in crate::datapath) fn is_taken(&self, port: u16) -> bool {
+        self.taken.contains(port)
+    }
+
+    /// Binds the socket to a port at random. An error of the kind `AddrInUse` says that none is left.
+    pub(in crate::datapath) fn bind(
+        self: &Arc<Self>,
+        socket: &Socket,
+        address: IpAddr,
+    ) -> io::Result<Port> {
+        for _ in 0..TRIES {
+            let Some(port) = self.take()? else { break };
+            match socket.bind(&SocketAddr::new(address, port.number).into()) {
+                Ok(()) => return Ok(port),
+                Err(error) if error.kind() == io::ErrorKind::AddrInUse => {}
+                Err(error) => return Err(error),
+            }
+        }
+        let none = "no port is left; see sysctl net.ipv4.ip_local_port_range";
+        Err(io::Error::new(io::ErrorKind::AddrInUse, none))
+    }
+
+    fn take(self: &Arc<Self>) -> io::Result<Option<Port>> {
+        loop {
+            let free = |word: usize| self.allowed.word(word) & !self.taken.word(word);
+            let count: u32 = (0..WORDS).map(|word| free(word).count_ones()).sum();
+            if count == 0 {
+                return Ok(None);
+            }
+            let random = u64::from(getrandom::u32()?);
+            let mut nth = ((random * u64::from(count)) >> 32) as u32;
+            let found = (0..WORDS).find_map(|word| {
+                let free = free(word);
+                let here = free.count_ones();
+                if nth < here {
+                    return Some(64 * word as u16 + nth_one(free, nth));
+                }
+                nth -= here;
+                None
+            });
+            // None: other workers were faster. Whoever forbids a port looks afterwards whether it is
+            // taken; so it is looked at here afterwards whether it is forbidden. One of both sees it.
+            let Some(number) = found.filter(|&number| self.taken.insert(number)) else { continue };
+            let port = Port { ports: Arc::clone(self), number };
+            if self.allowed.contains(number) {
+                return Ok(Some(port));
+            }
+        }
+    }
+}
+
+impl Port {
+    pub(in crate::datapath) fn number(&self) -> u16 {
+        self.number
+    }
+}
+
+impl Drop for Port {
+    fn drop(&mut self) {
+        self.ports.taken.remove(self.number);
+    }
+}
+
+/// The ports that a configuration needs on this host.
+fn needed(config: &Config) -> impl Iterator<Item = RangeInclusive<u16>> {
+    let blocks = config.table.nets().iter().filter_map(|net| match net.kind {
+        NetKind::UdpRange { start_port } => Some(start_port..=start_port.saturating_add(BLOCK_END)),
+        NetKind::Server => None,
+    });
+    let servers = config.table.mappings().iter().map(|mapping| mapping.public_port);
+    let admin = config.admin.iter().map(|admin| admin.listen.port());
+    blocks.chain(servers.chain(admin).map(|port| port..=port)).chain([P_NET])
+}
+
+impl Host {
+    fn read() -> Self {
+        let read = |name| fs::read_to_string(format!("/proc/sys/net/ipv4/{name}"));
+        let lent = read("ip_local_port_range").ok().and_then(|text| {
+            let (first, last) = text.trim().split_once(char::is_whitespace)?;
+            Some(first.parse().ok()?..=last.trim().parse().ok()?)
+        });
+        let reserved = read("ip_local_reserved_ports").unwrap_or_default();
+        let lowest = read("ip_unprivileged_port_start").ok();
+        let lowest = lowest.and_then(|text| text.trim().parse().ok()).unwrap_or(0);
+        Self {
+            lent: vec![lent.unwrap_or(USUAL)],
+            reserved: ranges(&reserved),
+            lowest: lowest.max(1024),
+        }
+    }
+}
+
+/// "8080,40000-40127", as the kernel writes it.
+fn ranges(text: &str) -> Vec<RangeInclusive<u16>> {
+    let range = |text: &str| {
+        let (first, last) = text.split_once('-').unwrap_or((text, text));
+        Some(first.parse().ok()?..=last.parse().ok()?)
+    };
+    text.trim().split(',').filter_map(range).collect()
+}
+
+/// Ports, one bit each, for several threads.
+#[derive(Debug)]
+struct PortSet(Box<[AtomicU64; WORDS]>);
+
+impl Default for PortSet {
+    fn default() -> Self {
+        Self(Box::new([const { AtomicU64::new(0) }; WORDS]))
+    }
+}
+
+impl PortSet {
+    /// Whether it was not in it before.
+    fn insert(&self, port: u16) -> bool {
+        let bit = bit(port);
+        self.0[index(port)].fetch_or(bit, SeqCst) & bit == 0
+    }
+
+    fn remove(&self, port: u16) {
+        self.0[index(port)].fetch_and(!bit(port), SeqCst);
+    }
+
+    fn contains(&self, port: u16) -> bool {
+        self.word(index(port)) & bit(port) != 0
+    }
+
+    fn is_empty(&self) -> bool {
+        (0..WORDS).all(|word| self.word(word) == 0)
+    }
+
+    fn word(&self, index: usize) -> u64 {
+        self.0[index].load(SeqCst)
+    }
+}
+
+fn index(port: u16) -> usize {
+    usize::from(port) / 64
+}
+
+fn bit(port: u16) -> u64 {
+    1 << (port % 64)
+}
+
+/// Where the one stands that has `n` others below it.
+fn nth_one(mut word: u64, n: u32) -> u16 {
+    (0..n).for_each(|_| word &= word - 1);
+    word.trailing_zeros() as u16
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeSet;
+    use std::net::Ipv4Addr;
+    use std::path::Path;
+    use std::thread;
+
+    use socket2::{Domain, Type};
+
+    use super::*;
+    use crate::config;
+
+    /// A block from this port on, and a single server beside it.
+    fn config(start_port: u16) -> Config {
+        let (press, more) = (start_port + 200, "allow = [\"::/0\"]\nallow_without_password = true");
+        let text = format!(
+            "[public]\nlisten = [\"127.0.0.1\"]\n[admin]\nlisten = \"127.0.0.1:41000\"\n\
+             [[udp_range_net]]\nname = \"section-1\"\nstart_port = {start_port}\n\
+             subnet = \"127.9.9.0\"\nnodes = [4]\n{more}\n\
+             [[server]]\nname = \"press\"\npublic_port = {press}\nnode = 7\n\
+             address = \"127.9.8.7:34379\"\n{more}"
+        );
+        config::parse(&text, Path::new("pnet-nat.toml")).unwrap().0
+    }
+
+    fn ports(lent: RangeInclusive<u16>, reserved: &str) -> Arc<Ports> {
+        let host = Host { lent: vec![lent], reserved: ranges(reserved), lowest: 1024 };
+        Arc::new(Ports::of_host(host, &config(40_000)))
+    }
+
+    fn take_all(ports: &Arc<Ports>) -> Vec<Port> {
+        std::iter::from_fn(|| ports.take().unwrap()).collect()
+    }
+
+    fn numbers(ports: &[Port]) -> BTreeSet<u16> {
+        ports.iter().map(Port::number).collect()
+    }
+
+    #[test]
+    fn every_port_that_nothing_needs_is_taken_once() {
+        let ports = ports(39_990..=40_210, "39992,40150-40159");
+        let all = take_all(&ports);
+        let expected = (39_990..=40_210).filter(|port| {
+            !(40_000..=40_127).contains(port)
+                && ![39_992, 40_200].contains(port)
+                && !(40_150..=40_159).contains(port)
+        });
+        assert_eq!(numbers(&all), expected.collect());
+        assert_eq!(numbers(&all).len(), all.len());
+        let number = all[5].number();
+        assert!(ports.is_taken(number));
+        drop(all);
+        assert!(!ports.is_taken(number));
+    }
+
+    #[test]
+    fn neither_the_admin_server_s_port_nor_those_of_nodes() {
+        let lent = |range| numbers(&take_all(&ports(range, ""))).into_iter().collect::<Vec<_>>();
+        assert_eq!(lent(40_999..=41_001), [40_999, 41_001]);
+        assert_eq!(lent(34_376..=34_381), [34_376, 34_377, 34_380, 34_381]);
+        assert_eq!(lent(1000..=1025), [1024, 1025]);
+    }
+
+    #[test]
+    fn a_host_that_lends_nothing_else() {
+        let ports = ports(40_000..=40_127, "1100-40120,40140-65535");
+        let others = (1024..=1099).chain(40_128..=40_139);
+        assert_eq!(numbers(&take_all(&ports)), others.collect());
+    }
+
+    #[test]
+    fn another_configuration_keeps_its_ports() {
+        let ports = ports(40_000..=42_000, "");
+        let (old, new) = (config(40_000), config(41_500));
+        ports.keep_out_of(&[&old, &new]);
+        let both = numbers(&take_all(&ports));
+        assert!(!both.contains(&40_001) && !both.contains(&41_501) && !both.contains(&41_700));
+        ports.keep_out_of(&[&new]);
+        let new = numbers(&take_all(&ports));
+        assert!(new.contains(&40_001) && !new.contains(&41_501));
+    }
+
+    #[test]
+    fn workers_never_take_the_same_port() {
+        let ports = ports(50_000..=50_999, "");
+        let taken: Vec<_> = thread::scope(|scope| {
+            let workers: Vec<_> = (0..4).map(|_| scope.spawn(|| take_all(&ports))).collect();
+            workers.into_iter().flat_map(|worker| worker.join().unwrap()).collect()
+        });
+        assert_eq!((taken.len(), numbers(&taken).len()), (1000, 1000));
+    }
+
+    #[test]
+    fn a_port_of_another_program_is_passed_over() {
+        let udp = || Socket::new(Domain::IPV4, Type::DGRAM, None).unwrap();
+        let (other, address) = (udp(), Ipv4Addr::new(127, 9, 9, 1));
+        other.bind(&SocketAddr::from((address, 0)).into()).unwrap();
+        let used = other.local_addr().unwrap().as_socket().unwrap().port();
+        let ports = ports(used..=used, "");
+        let refused = ports.bind(&udp(), address.into()).unwrap_err();
+        assert_eq!(refused.kind(), io::ErrorKind::AddrInUse);
+        assert!(!ports.is_taken(used));
+        drop(other);
+        let socket = udp();
+        let port = ports.bind(&socket, address.into()).unwrap();
+        assert_eq!(port.number(), used);
+        assert!(ports.is_taken(used));
+    }
+
+    #[test]
+    fn what_the_kernel_writes() {
+        assert_eq!(ranges("8080,40000-40127\n"), [8080..=8080, 40_000..=40_127]);
+        assert_eq!(ranges("\n"), []);
+        let host = Host::read();
+        assert!(host.lowest >= 1024 && !host.lent[0].is_empty());
+    }
+}

@@ -1,0 +1,358 @@
+//! Socket addresses and control messages in the kernel's layout.
+
+use std::iter;
+use std::mem;
+use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, SocketAddrV4, SocketAddrV6};
+use std::ptr;
+
+/// A sender's or receiver's address, IPv4 or IPv6.
+#[derive(Clone, Copy)]
+#[repr(C)]
+pub(in crate::datapath) union Name {
+    family: libc::sa_family_t,
+    v4: libc::sockaddr_in,
+    v6: libc::sockaddr_in6,
+}
+
+impl Default for Name {
+    fn default() -> Self {
+        // SAFETY: the largest variant is plain integers; all zero is a valid value.
+        Self { v6: unsafe { mem::zeroed() } }
+    }
+}
+
+impl Name {
+    pub(in crate::datapath) const CAPACITY: libc::socklen_t = size_of::<Self>() as libc::socklen_t;
+
+    pub(in crate::datapath) fn as_ptr(&self) -> *const libc::c_void {
+        ptr::from_ref(self).cast()
+    }
+
+    pub(in crate::datapath) fn as_mut_ptr(&mut self) -> *mut libc::c_void {
+        ptr::from_mut(self).cast()
+    }
+
+    /// The address that the kernel wrote in `len` octets.
+    #[inline]
+    pub(in crate::datapath) fn address(&self, len: libc::socklen_t) -> Option<SocketAddr> {
+        if len > Self::CAPACITY {
+            return None; // of no family that is known here, and cut short
+        }
+        // SAFETY: every variant begins with the family, and all octets are initialised.
+        let family = libc::c_int::from(unsafe { self.family });
+        if family == libc::AF_INET && len as usize >= size_of::<libc::sockaddr_in>() {
+            // SAFETY: plain integers, initialised; the family says which variant was written.
+            let v4 = unsafe { self.v4 };
+            let address = Ipv4Addr::from(v4.sin_addr.s_addr.to_ne_bytes());
+            return Some(SocketAddrV4::new(address, u16::from_be(v4.sin_port)).into());
+        }
+        if family == libc::AF_INET6 && len as usize >= size_of::<libc::sockaddr_in6>() {
+            // SAFETY: as above.
+            let v6 = unsafe { self.v6 };
+            let (address, port) = (v6.sin6_addr.s6_addr.into(), u16::from_be(v6.sin6_port));
+            return Some(SocketAddrV6::new(address, port, 0, v6.sin6_scope_id).into());
+        }
+        None
+    }
+
+    /// Writes an address and returns the octets it takes.
+    #[inline]
+    pub(in crate::datapath) fn set(&mut self, address: SocketAddr) -> libc::socklen_t {
+        match address {
+            SocketAddr::V4(address) => {
+                self.v4 = libc::sockaddr_in {
+                    sin_family: libc::AF_INET as libc::sa_family_t,
+                    sin_port: address.port().to_be(),
+                    sin_addr: in_addr(*address.ip()),
+                    sin_zero: [0; 8],
+                };
+                size_of::<libc::sockaddr_in>() as libc::socklen_t
+            }
+            SocketAddr::V6(address) => {
+                self.v6 = libc::sockaddr_in6 {
+                    sin6_family: libc::AF_INET6 as libc::sa_family_t,
+                    sin6_port: address.port().to_be(),
+                    sin6_flowinfo: 0,
+                    sin6_addr: in6_addr(*address.ip()),
+                    sin6_scope_id: address.scope_id(),
+                };
+                size_of::<libc::sockaddr_in6>() as libc::socklen_t
+            }
+        }
+    }
+}
+
+/// Room for control messages: the local address of a datagram, in or out, and on the way out the
+/// length of the datagrams that leave as one.
+#[derive(Clone, Copy)]
+#[repr(C, align(8))]
+pub(in crate::datapath) struct Control([u8; Control::CAPACITY]);
+
+/// Where a control message's content begins, counted from the message.
+const CONTENT: usize = message_len(0);
+
+// The kernel reads and writes headers in place, and nothing of ours goes beyond the room.
+const _: () = {
+    assert!(align_of::<Control>() >= align_of::<libc::cmsghdr>());
+    assert!(size_of::<Control>() == Control::CAPACITY);
+    assert!(CONTENT >= size_of::<libc::cmsghdr>());
+    assert!(size_of::<libc::in_pktinfo>() == 12 && size_of::<libc::in6_pktinfo>() == 20);
+};
+
+/// Octets of a control message with this much content, what follows it left out.
+const fn message_len(content: usize) -> usize {
+    // SAFETY: it only reckons.
+    (unsafe { libc::CMSG_LEN(content as libc::c_uint) }) as usize
+}
+
+/// Octets from a control message with this much content to the next one.
+const fn message_space(content: usize) -> usize {
+    // SAFETY: as above.
+    (unsafe { libc::CMSG_SPACE(content as libc::c_uint) }) as usize
+}
+
+/// One control message.
+struct Message<'a> {
+    level: libc::c_int,
+    kind: libc::c_int,
+    content: &'a [u8],
+}
+
+impl Default for Control {
+    fn default() -> Self {
+        Self([0; Self::CAPACITY])
+    }
+}
+
+impl Control {
+    pub(in crate::datapath) const CAPACITY: usize =
+        message_space(size_of::<libc::in6_pktinfo>()) + message_space(size_of::<u16>());
+
+    pub(in crate::datapath) fn as_mut_ptr(&mut self) -> *mut libc::c_void {
+        ptr::from_mut(self).cast()
+    }
+
+    /// The first `len` octets.
+    #[inline]
+    pub(in crate::datapath) fn octets(&self, len: usize) -> &[u8] {
+        &self.0[..len.min(Self::CAPACITY)]
+    }
+
+    /// The local address that a datagram was sent to, in the `len` octets that the kernel wrote.
+    ///
+    /// None for a socket that was not asked to tell, nor where the message was cut short, nor for
+    /// a datagram that was sent to a broadcast or multicast address: to be answered, IPv4 then names
+    /// another address than the one in the datagram's header.
+    #[inline]
+    pub(in crate::datapath) fn local_address(&self, len: usize) -> Option<IpAddr> {
+        self.messages(len).find_map(|message| match (message.level, message.kind) {
+            (libc::IPPROTO_IP, libc::IP_PKTINFO) => {
+                // SAFETY: plain integers.
+                let info = unsafe { message.content::<libc::in_pktinfo>() }?;
+                let (local, header) = (info.ipi_spec_dst.s_addr, info.ipi_addr.s_addr);
+                (local == header).then(|| Ipv4Addr::from(local.to_ne_bytes()).into())
+            }
+            (libc::IPPROTO_IPV6, libc::IPV6_PKTINFO) => {
+                // SAFETY: plain integers.
+                let info = unsafe { message.content::<libc::in6_pktinfo>() }?;
+                let header = Ipv6Addr::from(info.ipi6_addr.s6_addr);
+                (!header.is_multicast()).then(|| header.into())
+            }
+            _ => None,
+        })
+    }
+
+    /// The control messages in the first `len` octets, up to one that does not lie within them.
+    fn messages(&self, len: usize) -> impl Iterator<Item = Message<'_>> {
+        let mut rest = self.octets(len);
+        iter::from_fn(move || {
+            let header = rest.get(..size_of::<libc::cmsghdr>())?.as_ptr().cast::<libc::cmsghdr>();
+            // SAFETY: the header lies within `rest`; it is plain integers, and need not be aligned.
+            let header = unsafe { header.read_unaligned() };
+            let len: usize = header.cmsg_len as _; // the C libraries disagree on the type
+            let content = rest.get(CONTENT..len)?;
+            rest = rest.get(message_space(content.len())..).unwrap_or_default();
+            Some(Message { level: header.cmsg_level, kind: header.cmsg_type, content })
+        })
+    }
+
+    /// Writes the message that makes a datagram leave from `source`, by whichever interface routing
+    /// picks, and returns the octets it takes.
+    #[inline]
+    pub(in crate::datapath) fn set_source(&mut self, source: IpAddr) -> usize {
+        match source {
+            IpAddr::V4(source) => {
+                let info = libc::in_pktinfo {
+                    ipi_ifindex: 0,
+                    ipi_spec_dst: in_addr(source),
+                    ipi_addr: in_addr(source), // told, and not looked at
+                };
+                self.put(0, libc::IPPROTO_IP, libc::IP_PKTINFO, info)
+            }
+            IpAddr::V6(source) => {
+                let info = libc::in6_pktinfo { ipi6_addr: in6_addr(source), ipi6_ifindex: 0 };
+                self.put(0, libc::IPPROTO_IPV6, libc::IPV6_PKTINFO, info)
+            }
+        }
+    }
+
+    /// Adds, behind the `len` octets of [`set_source`](Self::set_source), the message that makes
+    /// the kernel cut what is sent into datagrams of so many octets, and returns the octets that
+    /// both take.
+    #[inline]
+    pub(in crate::datapath) fn add_segment_len(&mut self, len: usize, octets: u16) -> usize {
+        self.put(len, libc::SOL_UDP, libc::UDP_SEGMENT, octets)
+    }
+
+    /// Writes a message behind the first `at` octets, and returns where the next one would begin.
+    #[inline]
+    fn put<T: Copy>(&mut self, at: usize, level: i32, kind: i32, content: T) -> usize {
+        let end = at + message_space(size_of::<T>());
+        let room = &mut self.0[at..end];
+        // SAFETY: a header of plain integers, for which all zero is valid.
+        let mut header: libc::cmsghdr = unsafe { mem::zeroed() };
+        header.cmsg_level = level;
+        header.cmsg_type = kind;
+        header.cmsg_len = message_len(size_of::<T>()) as _;
+        let place = room.as_mut_ptr();
+        // SAFETY: `room` holds a header, and behind it the content; neither need be aligned.
+        unsafe {
+            place.cast::<libc::cmsghdr>().write_unaligned(header);
+            place.add(CONTENT).cast::<T>().write_unaligned(content);
+        }
+        end
+    }
+}
+
+impl Message<'_> {
+    /// What the message says, if it is long enough.
+    ///
+    /// # Safety
+    ///
+    /// Any octets are a valid `T`.
+    #[inline]
+    unsafe fn content<T: Copy>(&self) -> Option<T> {
+        let content = self.content.get(..size_of::<T>())?;
+        // SAFETY: so many octets are there, which need not be aligned; the rest the caller promises.
+        Some(unsafe { content.as_ptr().cast::<T>().read_unaligned() })
+    }
+}
+
+pub(in crate::datapath) fn in_addr(address: Ipv4Addr) -> libc::in_addr {
+    libc::in_addr { s_addr: u32::from_ne_bytes(address.octets()) }
+}
+
+pub(in crate::datapath) fn in6_addr(address: Ipv6Addr) -> libc::in6_addr {
+    libc::in6_addr { s6_addr: address.octets() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_address_comes_back_as_it_was_set() {
+        for text in ["198.51.100.7:40004", "[2001:db8::7]:40004", "[fe80::1%3]:1"] {
+            let address: SocketAddr = text.parse().unwrap();
+            let mut name = Name::default();
+            let len = name.set(address);
+            assert_eq!(name.address(len), Some(address));
+            for short in 0..len {
+                assert_eq!(name.address(short), None, "{short} of {len} octets");
+            }
+            assert_eq!(name.address(Name::CAPACITY + 1), None, "longer than the room");
+            name.family = libc::AF_UNIX as libc::sa_family_t;
+            assert_eq!(name.address(len), None, "another family");
+        }
+        assert_eq!(Name::default().address(Name::CAPACITY), None, "no family");
+    }
+
+    #[test]
+    fn a_source_comes_back_as_the_local_address() {
+        for text in ["198.51.100.7", "2001:db8::7"] {
+            let source: IpAddr = text.parse().unwrap();
+            let mut control = Control::default();
+            let len = control.set_source(source);
+            assert!(len <= Control::CAPACITY);
+            assert_eq!(control.local_address(len), Some(source));
+            let with_segments = control.add_segment_len(len, 42);
+            assert!(len < with_segments && with_segments <= Control::CAPACITY);
+            assert_eq!(control.local_address(len), Some(source), "still there");
+            assert_eq!(control.local_address(Control::CAPACITY + 1), Some(source));
+        }
+    }
+
+    #[test]
+    fn a_broadcast_or_multicast_address_is_not_local() {
+        let mut control = Control::default();
+        let info = libc::in_pktinfo {
+            ipi_ifindex: 3,
+            ipi_spec_dst: in_addr("203.0.113.1".parse().unwrap()),
+            ipi_addr: in_addr("203.0.113.255".parse().unwrap()),
+        };
+        let len = control.put(0, libc::IPPROTO_IP, libc::IP_PKTINFO, info);
+        assert_eq!(control.local_address(len), None);
+        let group = in6_addr("ff02::1".parse().unwrap());
+        let info = libc::in6_pktinfo { ipi6_addr: group, ipi6_ifindex: 3 };
+        let len = control.put(0, libc::IPPROTO_IPV6, libc::IPV6_PKTINFO, info);
+        assert_eq!(control.local_address(len), None);
+    }
+
+    #[test]
+    fn a_message_that_was_cut_short_tells_no_address() {
+        for text in ["198.51.100.7", "2001:db8::7"] {
+            let mut control = Control::default();
+            control.set_source(text.parse().unwrap());
+            let whole = control.messages(Control::CAPACITY).next().unwrap().content.len();
+            for room in 0..CONTENT + whole {
+                assert_eq!(control.local_address(room), None, "{room} octets");
+            }
+            // The kernel cuts the message itself, and what was there before stays behind it.
+            for content in 0..whole {
+                control.set_len(CONTENT + content);
+                assert_eq!(control.local_address(Control::CAPACITY), None, "{content} octets");
+            }
+            for absurd in [0, 1, CONTENT - 1, Control::CAPACITY + 1, isize::MAX as usize] {
+                control.set_len(absurd);
+                assert_eq!(control.local_address(Control::CAPACITY), None, "{absurd} octets");
+            }
+        }
+    }
+
+    #[test]
+    fn the_address_is_found_behind_other_messages() {
+        let source: IpAddr = "2001:db8::7".parse().unwrap();
+        let info = libc::in6_pktinfo {
+            ipi6_addr: in6_addr("2001:db8::7".parse().unwrap()),
+            ipi6_ifindex: 3,
+        };
+        for first in [0, 1, 7] {
+            let mut control = Control::default();
+            let at = match first {
+                0 => control.put(0, libc::SOL_SOCKET, libc::SO_RXQ_OVFL, ()),
+                1 => control.put(0, libc::SOL_SOCKET, libc::SO_RXQ_OVFL, [1_u8; 1]),
+                _ => control.put(0, libc::SOL_SOCKET, libc::SO_RXQ_OVFL, [1_u8; 7]),
+            };
+            let end = control.put(at, libc::IPPROTO_IPV6, libc::IPV6_PKTINFO, info);
+            assert_eq!(control.local_address(end), Some(source));
+            assert_eq!(control.local_address(at + CONTENT + 19), None, "cut short");
+            assert_eq!(control.messages(end).count(), 2);
+        }
+    }
+
+    impl Control {
+        /// What [`add_segment_len`](Self::add_segment_len) wrote.
+        pub(crate) fn segment_len(&self, len: usize) -> Option<u16> {
+            let is_it = |m: &Message<'_>| (m.level, m.kind) == (libc::SOL_UDP, libc::UDP_SEGMENT);
+            // SAFETY: any two octets are a number.
+            unsafe { self.messages(len).find(is_it)?.content() }
+        }
+
+        /// Changes the length that the first message tells.
+        fn set_len(&mut self, len: usize) {
+            let header = self.0.as_mut_ptr().cast::<libc::cmsghdr>();
+            // SAFETY: a header stands at the beginning, aligned as `Control` is.
+            unsafe { (*header).cmsg_len = len as _ };
+        }
+    }
+}

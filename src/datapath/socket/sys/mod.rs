@@ -1,0 +1,11 @@
+//! The only unsafe code of the program: system calls that no library lends in the shape that a
+//! worker needs, and the layouts that they take.
+
+#[allow(unsafe_code)]
+pub(in crate::datapath) mod address;
+#[allow(unsafe_code)]
+pub(in crate::datapath) mod batch;
+#[allow(unsafe_code)]
+pub(in crate::datapath) mod epoll_wait;
+#[allow(unsafe_code)]
+pub(in crate::datapath) mod options;

@@ -1,0 +1,193 @@
+//! UDP sockets as the router needs them: public ones, which clients send to, and upstream ones,
+//! which talk to the servers.
+//!
+//! None is ever connected: an ICMP error then reaches no socket, so a dead server can neither
+//! close a flow nor fail the next healthy send (N-7).
+
+use std::io;
+use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
+use std::os::fd::AsRawFd;
+use std::sync::Arc;
+
+use libc::c_int;
+use nix::errno::Errno;
+use nix::sys::socket::{setsockopt, sockopt};
+use socket2::{Domain, Protocol, Socket, Type};
+
+use crate::datapath::kernel_filter::reuseport;
+use crate::datapath::socket::listen::CallError;
+use crate::datapath::socket::port_pool::{Port, Ports};
+
+/// Octets of send buffer to ask the kernel for, for each upstream socket; `sysctl
+/// net.core.wmem_max` bounds it. Requests to a node that is switched off fill up to 208 KiB of it,
+/// while the kernel asks for the node's hardware address: as much as a send buffer is by default,
+/// and then the socket serves no other node either.
+const SEND_BUFFER: usize = 4 << 20;
+
+/// More octets than a datagram takes of a receive buffer, with the kernel's own bookkeeping.
+const A_DATAGRAM: u32 = 2304;
+
+/// Opens the public sockets of one address, one for each worker, in the workers' order. The kernel
+/// spreads clients over them; `steer` decides how.
+pub(in crate::datapath) fn public(
+    address: SocketAddr,
+    workers: usize,
+    receive_buffer: usize,
+) -> Result<Vec<Socket>, CallError> {
+    let share = |socket: &Socket| {
+        socket.set_reuse_port(true).map_err(CallError::of("setsockopt SO_REUSEPORT"))
+    };
+    let bind = |socket: &Socket| socket.bind(&address.into()).map_err(CallError::of("bind"));
+    // The first binds alone, so that a port which another program uses is noticed even when that
+    // program is willing to share. It shares afterwards.
+    let first = udp(address.is_ipv4(), receive_buffer)?;
+    tell_local_address(&first, address.ip())?;
+    bind(&first)?;
+    let mut sockets = vec![first];
+    if workers > 1 {
+        share(&sockets[0])?;
+    }
+    for _ in 1..workers {
+        let socket = udp(address.is_ipv4(), receive_buffer)?;
+        tell_local_address(&socket, address.ip())?;
+        share(&socket)?;
+        bind(&socket)?;
+        sockets.push(socket);
+    }
+    if workers > 1 {
+        let failed = CallError::of("setsockopt SO_ATTACH_REUSEPORT_CBPF");
+        reuseport::by_client(&sockets[0], workers).map_err(failed)?;
+    }
+    Ok(sockets)
+}
+
+/// Opens a socket towards servers, on one of these ports.
+pub(in crate::datapath) fn upstream(
+    ipv4: bool,
+    receive_buffer: usize,
+    ports: &Arc<Ports>,
+) -> io::Result<(Socket, Port)> {
+    let socket = udp(ipv4, receive_buffer)?;
+    let sized = socket.set_send_buffer_size(SEND_BUFFER);
+    sized.map_err(CallError::of("setsockopt SO_SNDBUF"))?;
+    leave_groups_alone(&socket, ipv4).map_err(CallError::of("setsockopt MULTICAST_ALL"))?;
+    let port = ports.bind(&socket, any(ipv4)).map_err(CallError::of("bind"))?;
+    Ok((socket, port))
+}
+
+/// Whether an address is one of this host's: what goes there leaves from there. Sends nothing.
+pub(in crate::datapath) fn is_own(address: SocketAddr, ports: &Arc<Ports>) -> io::Result<bool> {
+    if address.ip().is_loopback() {
+        return Ok(true); // where each address leads to all the others
+    }
+    let socket = Socket::new(Domain::for_address(address), Type::DGRAM, Some(Protocol::UDP))?;
+    let port = ports.bind(&socket, any(address.is_ipv4()))?;
+    let (socket, _) = &(socket, port); // closed in this order
+    socket.connect(&address.into())?;
+    Ok(socket.local_addr()?.as_socket().is_some_and(|own| own.ip() == address.ip()))
+}
+
+/// Whether the kernel cuts a message into datagrams when it is asked to (UDP_SEGMENT, Linux 4.18).
+pub(in crate::datapath) fn cuts_messages() -> bool {
+    let socket = Socket::new(Domain::IPV4, Type::DGRAM, Some(Protocol::UDP));
+    socket.is_ok_and(|socket| setsockopt(&socket, sockopt::UdpGsoSegment, &0).is_ok())
+}
+
+/// Octets of receive buffer that a socket got. The kernel grants twice what it counts as payload,
+/// for its own bookkeeping.
+pub(in crate::datapath) fn receive_buffer(socket: &Socket) -> io::Result<usize> {
+    Ok(socket.recv_buffer_size()? / 2)
+}
+
+/// Datagrams that the kernel dropped on a socket, since it was opened: a filter refused them, its
+/// buffer was full, or memory short. And whether its buffer is full now: has no room for another
+/// datagram.
+pub(in crate::datapath) fn kernel_drops(socket: &Socket) -> io::Result<(u32, bool)> {
+    let mut figures = [0_u32; libc::SK_MEMINFO_DROPS as usize + 1];
+    let mut len = size_of_val(&figures) as libc::socklen_t;
+    // SAFETY: the kernel writes at most `len` octets to `figures`, which is that long.
+    let result = unsafe {
+        libc::getsockopt(
+            socket.as_raw_fd(),
+            libc::SOL_SOCKET,
+            libc::SO_MEMINFO,
+            figures.as_mut_ptr().cast(),
+            &mut len,
+        )
+    };
+    if result < 0 {
+        Err(io::Error::last_os_error())
+    } else {
+        let figure = |name: libc::c_int| figures[name as usize];
+        let room =
+            figure(libc::SK_MEMINFO_RCVBUF).saturating_sub(figure(libc::SK_MEMINFO_RMEM_ALLOC));
+        Ok((figure(libc::SK_MEMINFO_DROPS), room < A_DATAGRAM))
+    }
+}
+
+fn any(ipv4: bool) -> IpAddr {
+    if ipv4 { Ipv4Addr::UNSPECIFIED.into() } else { Ipv6Addr::UNSPECIFIED.into() }
+}
+
+fn udp(ipv4: bool, receive_buffer: usize) -> Result<Socket, CallError> {
+    let domain = if ipv4 { Domain::IPV4 } else { Domain::IPV6 };
+    let socket = Socket::new(domain, Type::DGRAM.nonblocking(), Some(Protocol::UDP))
+        .map_err(CallError::of("socket"))?;
+    if !ipv4 {
+        // An IPv4 socket beside it serves IPv4.
+        socket.set_only_v6(true).map_err(CallError::of("setsockopt IPV6_V6ONLY"))?;
+    }
+    let sized = socket.set_recv_buffer_size(receive_buffer);
+    sized.map_err(CallError::of("setsockopt SO_RCVBUF"))?;
+    if ipv4 {
+        stay_whole(&socket).map_err(CallError::of("setsockopt IP_MTU_DISCOVER"))?;
+    }
+    Ok(socket)
+}
+
+/// Has nothing arrive that was sent to a multicast group, of which a socket of ours is never a member:
+/// by default it would get what others on the host have joined.
+fn leave_groups_alone(socket: &Socket, ipv4: bool) -> io::Result<()> {
+    let (level, name) = if ipv4 {
+        (libc::IPPROTO_IP, libc::IP_MULTICAST_ALL)
+    } else {
+        (libc::IPPROTO_IPV6, libc::IPV6_MULTICAST_ALL)
+    };
+    match set_option(socket, level, name, 0) {
+        Err(Errno::ENOPROTOOPT) => Ok(()), // IPv6: since Linux 4.20
+        outcome => Ok(outcome?),
+    }
+}
+
+/// Has IPv4 datagrams leave with "don't fragment", whatever is claimed about the way: the longest
+/// makes a packet of 135 octets, which every link in use takes. The kernel then need not choose a
+/// number for fragments to find each other by (RFC 6864, 4.1).
+fn stay_whole(socket: &Socket) -> io::Result<()> {
+    let (name, probe) = (libc::IP_MTU_DISCOVER, libc::IP_PMTUDISC_PROBE);
+    Ok(set_option(socket, libc::IPPROTO_IP, name, probe)?)
+}
+
+fn set_option(socket: &Socket, level: c_int, name: c_int, value: c_int) -> nix::Result<()> {
+    // SAFETY: the kernel reads an integer, of the length given.
+    let result = unsafe {
+        libc::setsockopt(
+            socket.as_raw_fd(),
+            level,
+            name,
+            (&raw const value).cast(),
+            size_of_val(&value) as libc::socklen_t,
+        )
+    };
+    Errno::result(result).map(drop)
+}
+
+/// A socket on all addresses has to learn which one a request came to, and to answer from it.
+fn tell_local_address(socket: &Socket, bound: IpAddr) -> Result<(), CallError> {
+    match bound {
+        IpAddr::V4(Ipv4Addr::UNSPECIFIED) => setsockopt(socket, sockopt::Ipv4PacketInfo, &true)
+            .map_err(CallError::of("setsockopt IP_PKTINFO")),
+        IpAddr::V6(Ipv6Addr::UNSPECIFIED) => setsockopt(socket, sockopt::Ipv6RecvPacketInfo, &true)
+            .map_err(CallError::of("setsockopt IPV6_RECVPKTINFO")),
+        _ => Ok(()),
+    }
+}

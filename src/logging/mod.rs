@@ -1,0 +1,268 @@
+//! The log: events to stderr, one a line, and the report that stands for noise.
+//!
+//! A datagram never makes a line of its own. What strangers send is counted, and [`DropReport`] says now
+//! and then how much it was, and how much the audit log left out. Whatever becomes of stderr, the
+//! relay goes on: lines wait for it and are lost at last, and [`lines_lost`] counts them.
+
+mod json;
+mod queue;
+mod text;
+
+use std::borrow::Cow;
+use std::error::Error;
+use std::fmt::{self, Debug, Display, Formatter};
+use std::io::{self, IsTerminal};
+use std::panic::{self, PanicHookInfo};
+use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
+use std::thread;
+use std::time::Duration;
+
+use tracing::{Level, Metadata};
+use tracing_subscriber::fmt::MakeWriter;
+
+use crate::config::Faults;
+use crate::harmless::harmless_lines;
+use crate::reload::log_faults;
+use crate::thread::ThreadError;
+
+use json::Json;
+use queue::{LOG, Line, Pen};
+
+/// How long the end of the process waits for lines to be written.
+const LAST_LINES: Duration = Duration::from_secs(2);
+
+/// How events are written.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
+pub enum LogFormat {
+    /// Text on a terminal, else JSON.
+    #[default]
+    Auto,
+    /// Lines for people.
+    Text,
+    /// One JSON object a line.
+    Json,
+}
+
+/// What is written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum LogLevel {
+    /// What failed.
+    Error,
+    /// And what somebody should look at.
+    Warn,
+    /// And the audit log.
+    Info,
+}
+
+/// Whether complaints are events too, in JSON.
+static COMPLAINS_IN_JSON: AtomicBool = AtomicBool::new(false);
+
+/// Starts logging to stderr, for the whole process and once only. Times are UTC, as RFC 3339. Who
+/// logs writes; of a `service`, lines wait for the thread that [`in_background`] starts, and
+/// complaints are events wherever events are JSON.
+pub fn init(format: LogFormat, level: LogLevel, service: bool) {
+    let terminal = io::stderr().is_terminal();
+    let json = match format {
+        LogFormat::Auto => !terminal,
+        LogFormat::Text => false,
+        LogFormat::Json => true,
+    };
+    COMPLAINS_IN_JSON.store(json && (service || format == LogFormat::Json), Relaxed);
+    if service {
+        LOG.wait_for_a_thread();
+        panic::set_hook(Box::new(tell_panic));
+    }
+    let level = match level {
+        LogLevel::Error => Level::ERROR,
+        LogLevel::Warn => Level::WARN,
+        LogLevel::Info => Level::INFO,
+    };
+    let events = tracing_subscriber::fmt()
+        .with_max_level(level)
+        .log_internal_errors(false)
+        .with_writer(Pens);
+    if json {
+        events.event_format(Json).init();
+    } else {
+        let colour = terminal && !no_color();
+        events.fmt_fields(text::fields()).with_target(false).with_ansi(colour).init();
+    }
+}
+
+/// Has lines written by a thread of its own from now on, so that a stderr that nobody reads holds
+/// up nobody. The thread may do what the calling one may.
+pub fn in_background() -> Result<(), ThreadError> {
+    LOG.start_thread()
+}
+
+/// Waits until what was logged is written, but not long.
+pub fn flush() {
+    LOG.flush(LAST_LINES);
+}
+
+/// Lines that were lost so far: stderr did not take them, or not fast enough.
+pub fn lines_lost() -> u64 {
+    LOG.lost()
+}
+
+/// Says why a command cannot be carried out.
+pub fn complain(message: impl Display) {
+    let message = message.to_string();
+    if COMPLAINS_IN_JSON.load(Relaxed) {
+        tracing::error!(error = message.trim_start_matches("pnet-nat: ").trim_end(), "failed");
+    } else {
+        LOG.push(Line::of(harmless_lines(&message) + "\n"));
+    }
+}
+
+/// Tells all faults of a configuration that is not used.
+pub fn complain_of_faults(faults: &Faults) {
+    if COMPLAINS_IN_JSON.load(Relaxed) {
+        log_faults(faults);
+        complain("the configuration is not sound");
+    } else {
+        complain(faults);
+    }
+}
+
+/// Whether the user wants no colours (no-color.org).
+pub(crate) fn no_color() -> bool {
+    std::env::var_os("NO_COLOR").is_some_and(|value| !value.is_empty())
+}
+
+/// The value of a field that is a list: an array in JSON, and in text the same array.
+pub(crate) fn list<T: ToString>(items: impl IntoIterator<Item = T>) -> Box<dyn Error> {
+    Box::new(List(items.into_iter().map(|item| item.to_string()).collect()))
+}
+
+/// A list on its way through a field of an event. Those have no lists, but errors, which keep their
+/// type.
+struct List(Vec<String>);
+
+impl Error for List {}
+
+impl Debug for List {
+    fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
+        Display::fmt(self, f)
+    }
+}
+
+impl Display for List {
+    fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
+        f.write_str(&serde_json::to_string(&self.0).map_err(|_| fmt::Error)?)
+    }
+}
+
+/// A panic is one line of the log, and the last.
+fn tell_panic(panic: &PanicHookInfo<'_>) {
+    let thread = thread::current();
+    let thread = thread.name().unwrap_or("unnamed");
+    let payload = panic.payload();
+    let why = payload.downcast_ref::<&str>().map(|why| Cow::Borrowed(*why));
+    let why =
+        why.or_else(|| payload.downcast_ref::<String>().map(|why| Cow::Borrowed(why.as_str())));
+    let place = panic.location().map(tracing::field::display);
+    tracing::error!(thread, place, why = why.as_deref(), "panicked");
+    flush();
+}
+
+/// Takes events to the log.
+struct Pens;
+
+impl<'a> MakeWriter<'a> for Pens {
+    type Writer = Pen;
+
+    fn make_writer(&'a self) -> Pen {
+        Pen { is_report: false }
+    }
+
+    fn make_writer_for(&'a self, event: &Metadata<'_>) -> Pen {
+        Pen { is_report: event.target() == queue::LOST }
+    }
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use std::sync::{Arc, Mutex};
+
+    use serde_json::{Value, json};
+    use tracing::Subscriber;
+    use tracing::level_filters::LevelFilter;
+    use tracing_subscriber::fmt::SubscriberBuilder;
+    use tracing_subscriber::fmt::format::{DefaultFields, Format};
+
+    use super::*;
+
+    type Events<W> = SubscriberBuilder<DefaultFields, Format, LevelFilter, W>;
+
+    /// What `log` writes to the subscriber that `build` makes.
+    pub(super) fn written<S>(
+        build: impl FnOnce(Events<Box<dyn Fn() -> Written + Send + Sync>>) -> S,
+        log: impl FnOnce(),
+    ) -> String
+    where
+        S: Subscriber + Send + Sync + 'static,
+    {
+        let written = Arc::new(Mutex::new(Vec::new()));
+        let writer = written.clone();
+        let writer = Box::new(move || Written(writer.clone())) as Box<dyn Fn() -> _ + Send + Sync>;
+        let events = build(tracing_subscriber::fmt().with_writer(writer));
+        tracing::subscriber::with_default(events, log);
+        String::from_utf8(written.lock().unwrap().clone()).unwrap()
+    }
+
+    /// What `log` logs, as JSON without its times.
+    pub(crate) fn logged(log: impl FnOnce()) -> Vec<Value> {
+        let line = |line| {
+            let mut line: Value = serde_json::from_str(line).unwrap();
+            let time = line.as_object_mut().unwrap().remove("timestamp").unwrap();
+            let time = time.as_str().unwrap();
+            assert!(time.starts_with("20") && time.ends_with('Z') && time.len() == 27, "{time}");
+            line.as_object_mut().unwrap().remove("target").unwrap();
+            line
+        };
+        written(|events| events.event_format(Json).finish(), log).lines().map(line).collect()
+    }
+
+    pub(super) struct Written(Arc<Mutex<Vec<u8>>>);
+
+    impl io::Write for Written {
+        fn write(&mut self, octets: &[u8]) -> io::Result<usize> {
+            self.0.lock().unwrap().write(octets)
+        }
+
+        fn flush(&mut self) -> io::Result<()> {
+            Ok(())
+        }
+    }
+
+    #[test]
+    fn every_kind_of_field_is_what_it_is_in_json() {
+        let none: Option<u64> = None;
+        let lines = logged(|| {
+            tracing::warn!(
+                text = "a \"b\"\n\u{1b}[1m",
+                shown = %"[\"no list\"]",
+                debug = ?Some(1),
+                number = 7_u64,
+                negative = -7_i64,
+                float = 0.5,
+                truth = true,
+                none,
+                addresses = list(["192.0.2.1", "2001:db8::1"]),
+                nothing = list([0; 0]),
+                error = %io::Error::other("so"),
+                "what {}", "happened"
+            );
+        });
+        assert_eq!(
+            lines,
+            [json!({
+                "level": "WARN", "message": "what happened", "text": "a \"b\"\n\u{1b}[1m",
+                "shown": "[\"no list\"]", "debug": "Some(1)", "number": 7, "negative": -7,
+                "float": 0.5, "truth": true, "addresses": ["192.0.2.1", "2001:db8::1"],
+                "nothing": [], "error": "so",
+            })]
+        );
+    }
+}

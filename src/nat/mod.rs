@@ -1,0 +1,49 @@
+//! The NAT itself, pure: table, flows, upstream sockets, throttle, drop reasons, counters.
+//!
+//! Time and randomness come in as arguments; there is no socket, no clock and no lock here.
+
+mod allowed_sources;
+mod budget;
+mod chance;
+mod core;
+mod counters;
+mod effects;
+mod flow;
+mod flow_table;
+mod gcra;
+mod idle_wheel;
+mod ids;
+mod known_clients;
+mod last_sender;
+mod protocol;
+mod queue;
+mod reason;
+mod reload;
+mod response_times;
+mod rules;
+mod source_sketch;
+mod table;
+#[cfg(test)]
+mod tests;
+mod throttle;
+mod time;
+mod transition;
+mod upstream_ports;
+
+pub use budget::Budget;
+pub use chance::Chance;
+pub use core::{Arrival, Core, ToClient, ToServer};
+pub use counters::{Counter, Counters, DirectionCounters, NetCounters, NodeCounters};
+pub use effects::Effects;
+pub use flow::FlowRecord;
+pub use gcra::RequestRate;
+pub use ids::{FlowId, ListenerId, MappingId, NetId, UpstreamId};
+pub use last_sender::LastSender;
+pub use reason::{CloseReason, Direction, DropReason};
+pub use reload::Succession;
+pub use response_times::{FINE_BOUNDS, FINE_BUCKETS, RESPONSE_BUCKETS, ResponseTimes};
+pub use rules::Rules;
+pub use source_sketch::SourceSketch;
+pub use table::{Credential, Limits, Mapping, Net, NetKind, Table};
+pub use throttle::{ThrottleScope, Throttled};
+pub use transition::Transition;

@@ -1,0 +1,88 @@
+//! What is checked in a datagram, apart from how flows are kept.
+//!
+//! Everything here works on octets alone; who sent them, and whether the password is right, is
+//! asked afterwards in `core`.
+
+use crate::nat::reason::DropReason;
+use crate::nat::table::Net;
+use crate::pnet::wire::{self, Datagram, DatagramError, RouteFormat};
+
+pub(in crate::nat) use crate::pnet::wire::{Header, Password, replace_password};
+
+/// A well-formed request, reduced to what the core decides on.
+#[derive(Debug)]
+pub(in crate::nat) struct Request {
+    /// The last eight octets, when they are a password.
+    pub password: Option<[u8; 8]>,
+    /// Second destination of the route (PAS 7).
+    node_address: u8,
+    broadcast: bool,
+    /// An answer is to come: the last source is not 0.
+    pub confirmed: bool,
+}
+
+impl Request {
+    /// Checks a request's structure (PAS 11, A6, A12).
+    #[inline]
+    pub(in crate::nat) fn parse(
+        octets: &[u8],
+        header: Header,
+        net: &Net,
+    ) -> Result<Self, DropReason> {
+        if octets.len() < wire::MIN_SECURE_DATAGRAM && !net.allow_without_password {
+            return Err(DropReason::TooShort);
+        }
+        let datagram = parse(octets, header)?;
+        let route = datagram.route();
+        // A6: over IP a node is named by IPNetID and node address, and so is the client.
+        let Some(node_address) = route.node_address() else {
+            return Err(DropReason::RouteFormat);
+        };
+        let password = datagram.password().copied();
+        if password.is_none() && !net.allow_without_password {
+            return Err(DropReason::PasswordMissing);
+        }
+        // R-43; IPNetID 126 and 127 are reserved too, so no destination is left out.
+        let broadcast = route.destinations().any(|element| element >= wire::BNA);
+        let confirmed = route.sources().last() != Some(wire::NCNA);
+        Ok(Self { password, node_address, broadcast, confirmed })
+    }
+
+    /// Checks that the request is meant for the one node behind its public port.
+    #[inline]
+    pub(in crate::nat) fn is_for(&self, node_address: u8) -> Result<(), DropReason> {
+        if self.broadcast {
+            return Err(DropReason::Broadcast);
+        }
+        if self.node_address != node_address {
+            return Err(DropReason::NodeMismatch);
+        }
+        Ok(())
+    }
+}
+
+/// Checks a response's structure and returns its password, when it has one (A16).
+#[inline]
+pub(in crate::nat) fn response(
+    octets: &[u8],
+    header: Header,
+) -> Result<Option<[u8; 8]>, DropReason> {
+    let datagram = parse(octets, header)?;
+    match datagram.route().format() {
+        RouteFormat::Extended | RouteFormat::Ip => Ok(datagram.password().copied()),
+        RouteFormat::Simple | RouteFormat::Complex | RouteFormat::Immediate => {
+            Err(DropReason::BadRoute) // no Acknowledge, no Immediate-reply on IP
+        }
+    }
+}
+
+#[inline]
+fn parse(octets: &[u8], header: Header) -> Result<Datagram<'_>, DropReason> {
+    Datagram::parse(octets, header).map_err(|error| match error {
+        DatagramError::TooShort => DropReason::TooShort,
+        DatagramError::TooLong => DropReason::TooLong,
+        DatagramError::BadHeader => DropReason::BadHeader,
+        DatagramError::BadRoute(_) => DropReason::BadRoute,
+        DatagramError::BadLength => DropReason::BadLength,
+    })
+}

@@ -1,0 +1,42 @@
+//! What the workers work from.
+
+use std::sync::Arc;
+
+use super::budget::Budget;
+use super::known_clients::Known;
+use super::table::{Limits, Table};
+
+/// What every worker works from; replaced whole by a new configuration.
+#[derive(Clone, Debug)]
+pub struct Rules {
+    /// The NAT table.
+    pub table: Arc<Table>,
+    /// Bounds of the router as a whole.
+    pub limits: Limits,
+    /// Places for flows and requests of nets, shared by all workers.
+    pub budget: Arc<Budget>,
+    /// Clients that were right of late, of all workers.
+    pub(super) known: Known,
+}
+
+impl Rules {
+    /// Rules with all places for flows free and all requests untouched.
+    pub fn new(table: Arc<Table>, limits: Limits) -> Self {
+        let budget = Arc::new(Budget::new(&table, &limits));
+        let known = Known::new(&table);
+        Self { table, limits, budget, known }
+    }
+
+    /// Flows that may be open at once.
+    pub(super) fn most_flows(&self) -> usize {
+        let of_nets = self.table.nets().iter().map(|net| net.max_flows as usize).sum();
+        (self.limits.max_flows as usize).min(of_nets)
+    }
+
+    /// The rules that come after these: what nets have taken of flows and requests stays taken.
+    pub fn followed_by(&self, table: Arc<Table>, limits: Limits) -> Self {
+        let budget = Arc::new(self.budget.with_limits(&self.table, &table, &limits));
+        let known = self.known.followed_by(&self.table, &table);
+        Self { table, limits, budget, known }
+    }
+}

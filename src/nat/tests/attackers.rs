@@ -1,0 +1,388 @@
+//! What each attacker of SECURITY.md can do to the core, and what he cannot: one who forges where
+//! his datagrams come from, one who holds another password of the net, one who changes ports.
+//!
+//! Their datagrams are well-formed, so that nothing but the rule under test can refuse them.
+
+use std::collections::BTreeSet;
+use std::net::{IpAddr, SocketAddr, SocketAddrV6};
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use crate::pnet::wire::{DlRoute, Header, Password};
+
+use crate::nat::*;
+
+const SERVICE: &[u8; 8] = b"service!";
+const OTHER: &[u8; 8] = b"another!";
+const WRONG: &[u8; 8] = b"guessed!";
+const PUBLIC: &str = "192.0.2.1";
+const CLIENT: &str = "198.51.100.7:50000";
+/// The kernel has no way to these, or would have to broadcast.
+const NO_WAY: [&str; 2] = ["198.51.100.255", "203.0.113.9"];
+
+/// As many sockets as are asked for.
+#[derive(Default)]
+struct Sockets {
+    opened: u16,
+    looked_for: usize,
+}
+
+impl Effects for Sockets {
+    fn open_upstream(&mut self, _: UpstreamId, _: NetId, _: bool) -> Option<u16> {
+        self.opened += 1;
+        Some(50_000 + self.opened)
+    }
+
+    fn close_upstream(&mut self, _: UpstreamId) {}
+
+    fn can_answer(&mut self, arrival: &Arrival) -> bool {
+        self.looked_for += 1;
+        !NO_WAY.contains(&arrival.client.ip().to_string().as_str())
+    }
+
+    fn flow_opened(&mut self, _: &Table, _: &FlowRecord) {}
+
+    fn flow_closed(&mut self, _: &Table, _: &FlowRecord, _: CloseReason) {}
+}
+
+/// A relay with one net, and the time.
+struct World {
+    core: Core,
+    rules: Rules,
+    counters: Arc<Counters>,
+    effects: Sockets,
+    now: Instant,
+}
+
+/// One net with node 4; `change` makes it the scenario's.
+fn rules(change: impl FnOnce(&mut Net)) -> Rules {
+    let credential = |name: &str, password: &[u8; 8]| Credential {
+        name: name.into(),
+        password: Password::new(*password),
+        device_password: None,
+    };
+    let mut net = Net {
+        name: "section-1".into(),
+        kind: NetKind::UdpRange { start_port: 40_000 },
+        allow: vec!["0.0.0.0/0".parse().unwrap(), "::/0".parse().unwrap()],
+        credentials: vec![credential("service", SERVICE), credential("other", OTHER)],
+        allow_without_password: false,
+        require_response_password: false,
+        idle_timeout: Duration::from_secs(300),
+        max_flows: 100,
+        max_requests: None,
+        max_flow_requests: None,
+    };
+    change(&mut net);
+    let mapping = Mapping {
+        net: NetId(0),
+        node_address: 4,
+        public_port: 40_004,
+        server: "172.17.17.4:34379".parse().unwrap(),
+    };
+    let limits = Limits {
+        max_flows: 1000,
+        wrong_password_burst: 3,
+        wrong_password_address_burst: 6,
+        wrong_password_interval: Duration::from_secs(3600),
+    };
+    Rules::new(Arc::new(Table::new(Header::default(), vec![net], vec![mapping])), limits)
+}
+
+/// A request to node 4, and just as well its answer.
+fn octets(password: &[u8]) -> Vec<u8> {
+    let route = DlRoute::new(&[11, 4, 2], &[11, 3]).unwrap().to_route().unwrap();
+    let mut octets = Header::default().0.to_vec();
+    octets.extend(route.as_route().as_bytes());
+    octets.extend([0x02, 0]);
+    octets.extend(password);
+    octets
+}
+
+impl World {
+    fn new(change: impl FnOnce(&mut Net)) -> Self {
+        let rules = rules(change);
+        let counters = Arc::new(Counters::new(&rules.table));
+        let now = Instant::now();
+        let random = Chance::from_seed(1);
+        let core = Core::new(rules.clone(), Arc::clone(&counters), now, random);
+        Self { core, rules, counters, effects: Sockets::default(), now }
+    }
+
+    /// A request that nobody sends on yet.
+    fn ask_from(
+        &mut self,
+        client: SocketAddr,
+        public: &str,
+        password: &[u8; 8],
+    ) -> Result<ToServer, DropReason> {
+        let arrival = Arrival {
+            listener: ListenerId(0),
+            mapping: MappingId(0),
+            public_address: public.parse::<IpAddr>().unwrap(),
+            client,
+        };
+        self.core.request(self.now, &arrival, &mut octets(password), &mut self.effects)
+    }
+
+    fn ask(&mut self, client: &str, password: &[u8; 8]) -> Result<ToServer, DropReason> {
+        let client: SocketAddr = client.parse().unwrap();
+        let public = if client.is_ipv4() { PUBLIC } else { "2001:db8::1" };
+        self.ask_from(client, public, password)
+    }
+
+    fn sent(&mut self, to: ToServer) {
+        self.core.request_sent(self.now, MappingId(0), to.asks, 24);
+    }
+
+    /// An answer of the node: what the client gets of it.
+    fn answer(&mut self, to: ToServer, password: &[u8; 8]) -> Result<Vec<u8>, DropReason> {
+        let mut octets = octets(password);
+        let back = self.core.response(self.now, to.via, to.server, &mut octets)?;
+        assert_eq!(back.client, CLIENT.parse().unwrap());
+        Ok(octets)
+    }
+
+    /// Goes over to other rules; those of its start, with a change.
+    fn reload(&mut self, change: impl FnOnce(&mut Net)) {
+        let next = rules(change);
+        let was = self.rules.clone();
+        let rules = was.followed_by(next.table, next.limits);
+        let counters = Arc::new(self.counters.followed_by(&was.table, &rules.table));
+        let transition = Arc::new(Transition::new(&was, &rules, BTreeSet::new()));
+        (self.rules, self.counters) = (rules.clone(), Arc::clone(&counters));
+        let succession = Succession { rules, counters, transition };
+        self.core.reload(self.now, succession, &mut self.effects);
+    }
+
+    fn expire(&mut self) {
+        while self.core.expire(self.now, &mut self.effects) {}
+    }
+
+    fn flows(&self) -> usize {
+        self.core.flows(self.now).count()
+    }
+
+    fn node(&self) -> &NodeCounters {
+        self.counters.node(MappingId(0))
+    }
+}
+
+#[test]
+fn who_forges_a_source_that_no_answer_reaches() {
+    let mut world = World::new(|net| net.max_flows = 1);
+    let forged = [
+        "198.51.100.7:0",
+        "0.0.0.0:50000",
+        "0.1.2.3:50000",
+        "224.0.0.1:50000",
+        "239.255.255.255:50000",
+        "240.0.0.1:50000",
+        "255.255.255.255:50000",
+        "198.51.100.255:50000",
+        "203.0.113.9:50000",
+        "[2001:db8::7]:0",
+        "[::]:50000",
+        "[ff02::1]:50000",
+        "[ff0e::7]:50000",
+        "[::ffff:255.255.255.255]:50000",
+    ];
+    for client in forged {
+        assert_eq!(world.ask(client, SERVICE), Err(DropReason::Unanswerable), "{client}");
+    }
+    assert_eq!(world.flows(), 0);
+    assert!(world.ask(CLIENT, SERVICE).is_ok(), "nothing was used up");
+    let received = world.node().direction(Direction::Request).received.get();
+    assert_eq!(received, forged.len() as u64 + 1);
+}
+
+#[test]
+fn an_address_of_a_link_is_for_that_link() {
+    let mut world = World::new(|_| {});
+    let global: SocketAddr = "[2001:db8::7]:50000".parse().unwrap();
+    let of_the_link: SocketAddr = SocketAddrV6::new("fe80::7".parse().unwrap(), 50000, 0, 2).into();
+    let mut passes = |client, public| world.ask_from(client, public, SERVICE).is_ok();
+    assert!(!passes(global, "fe80::1"));
+    assert!(passes(of_the_link, "fe80::1"));
+    assert!(passes(of_the_link, "2001:db8::1"));
+    assert!(passes(global, "2001:db8::1"));
+}
+
+/// Only who has the password has the kernel look for the way, and only once.
+#[test]
+fn strangers_have_no_way_looked_for() {
+    let mut world = World::new(|_| {});
+    assert_eq!(world.ask("198.51.100.255:7", WRONG), Err(DropReason::PasswordWrong));
+    assert_eq!(world.effects.looked_for, 0);
+    (0..3).for_each(|_| assert!(world.ask(CLIENT, SERVICE).is_ok()));
+    assert_eq!(world.effects.looked_for, 1);
+}
+
+#[test]
+fn what_was_not_sent_was_not_asked() {
+    let mut world = World::new(|_| {});
+    world.ask(CLIENT, SERVICE).unwrap();
+    world.core.send_failed(MappingId(0), Direction::Request);
+    let asked =
+        |world: &World| (world.node().last_request.get(), world.node().unanswered_since.get());
+    assert_eq!(asked(&world), (0, 0));
+    assert!(!world.core.awaits_answers(world.now), "nothing to wait for at the end");
+
+    // The response time is that of the one that was sent.
+    world.now += Duration::from_secs(2);
+    let to = world.ask(CLIENT, SERVICE).unwrap();
+    world.sent(to);
+    assert!(world.core.awaits_answers(world.now));
+    assert_ne!(asked(&world), (0, 0));
+    world.now += Duration::from_millis(3);
+    world.core.response(world.now, to.via, to.server, &mut octets(SERVICE)).unwrap();
+    let nanos: u64 = world.node().response_times.buckets().map(|(_, nanos)| nanos).sum();
+    assert_eq!(Duration::from_nanos(nanos), Duration::from_millis(3));
+}
+
+#[test]
+fn who_forges_a_nodes_address() {
+    let mut world = World::new(|_| {});
+    for client in ["172.17.17.44:34379", "172.17.17.4:34379", "172.17.17.200:50000"] {
+        assert_eq!(world.ask(client, SERVICE), Err(DropReason::SourceNotAllowed), "{client}");
+    }
+    let mut world = World::new(|net| net.allow.push("172.17.17.200/29".parse().unwrap()));
+    assert!(world.ask("172.17.17.200:50000", SERVICE).is_ok(), "N-4");
+    let node = world.ask("172.17.17.44:34379", SERVICE);
+    assert_eq!(node, Err(DropReason::SourceNotAllowed));
+}
+
+/// Whoever asks last, an answer under the password of an earlier request still comes through.
+#[test]
+fn who_holds_another_password_of_the_net() {
+    let mut world = World::new(|_| {});
+    let to = world.ask(CLIENT, SERVICE).unwrap();
+    world.sent(to);
+    // The forger sends under the client's address and port, before each of its answers.
+    for _ in 0..3 {
+        let forged = world.ask(CLIENT, OTHER).unwrap();
+        assert_eq!(forged, to, "on the client's own flow");
+        world.sent(forged);
+        assert_eq!(world.answer(to, SERVICE), Ok(octets(SERVICE)));
+        assert_eq!(world.answer(to, OTHER), Ok(octets(OTHER)));
+        assert_eq!(world.answer(to, WRONG), Err(DropReason::PasswordMismatch));
+    }
+}
+
+/// Limits by flow do not hold who takes a new port for each request; those of the net do, and who
+/// was there before him goes on.
+#[test]
+fn who_changes_ports_for_each_request() {
+    let mut world = World::new(|net| {
+        (net.max_flows, net.max_flow_requests) = (10, Some(RequestRate::new(2)));
+    });
+    let to = world.ask(CLIENT, SERVICE).unwrap();
+    world.sent(to);
+    let passed = (1..=100).filter(|port| {
+        let attacker = SocketAddr::from(([203, 0, 113, 66], 10_000 + port));
+        match world.ask_from(attacker, PUBLIC, OTHER) {
+            Ok(to) => {
+                world.sent(to);
+                true
+            }
+            Err(reason) => {
+                assert_eq!(reason, DropReason::FlowLimit);
+                false
+            }
+        }
+    });
+    assert_eq!(passed.count(), 9, "as many as the net has room for");
+    assert_eq!(world.flows(), 10);
+    assert_eq!(world.answer(to, SERVICE), Ok(octets(SERVICE)));
+    assert_eq!(world.ask(CLIENT, SERVICE), Ok(to), "an open flow is served all the same");
+    assert_eq!(
+        world.ask("198.51.100.8:1", SERVICE),
+        Err(DropReason::FlowLimit),
+        "a new one is not"
+    );
+}
+
+/// Passwords are exchanged while the flow is open: answers in any order, each under its own.
+#[test]
+fn a_client_that_changes_its_password_loses_no_answer() {
+    let device = |net: &mut Net, at: usize, password: &[u8; 8]| {
+        net.credentials[at].device_password = Some(Password::new(*password));
+    };
+    let mut world = World::new(|net| {
+        device(net, 0, b"device-1");
+        device(net, 1, b"device-2");
+    });
+    for password in [SERVICE, OTHER] {
+        let to = world.ask(CLIENT, password).unwrap();
+        world.sent(to);
+    }
+    let to = world.ask(CLIENT, OTHER).unwrap();
+    assert_eq!(world.answer(to, b"device-1"), Ok(octets(SERVICE)));
+    assert_eq!(world.answer(to, b"device-2"), Ok(octets(OTHER)));
+    // One password at the devices: the latest of the client's is its answer's.
+    let mut world = World::new(|net| (0..2).for_each(|at| device(net, at, b"device-1")));
+    for password in [OTHER, SERVICE] {
+        let to = world.ask(CLIENT, password).unwrap();
+        world.sent(to);
+        assert_eq!(world.answer(to, b"device-1"), Ok(octets(password)));
+    }
+}
+
+/// Of a flow that goes over to other rules, what is withdrawn opens nothing; the rest is kept.
+#[test]
+fn a_reload_keeps_what_is_left_of_a_flows_passwords() {
+    let mut world = World::new(|_| {});
+    world.ask(CLIENT, OTHER).unwrap();
+    let to = world.ask(CLIENT, SERVICE).unwrap();
+    world.reload(|net| net.credentials.reverse());
+    assert_eq!(world.answer(to, OTHER), Ok(octets(OTHER)));
+    world.reload(|net| drop(net.credentials.remove(1)));
+    assert_eq!(world.answer(to, SERVICE), Ok(octets(SERVICE)));
+    assert_eq!(world.answer(to, OTHER), Err(DropReason::PasswordMismatch));
+}
+
+/// He guesses under a client's address, from any port; the client opens new flows all the same.
+#[test]
+fn who_guesses_under_the_address_of_a_client() {
+    let mut world = World::new(|_| {});
+    let from = |port: u16| format!("198.51.100.7:{port}");
+    world.ask(&from(1000), SERVICE).unwrap();
+    let guess = |world: &mut World| {
+        (2000..2100)
+            .filter(|&port| world.ask(&from(port), WRONG) == Err(DropReason::PasswordWrong))
+            .count()
+    };
+    assert_eq!(guess(&mut world), 100, "and is not slowed");
+    assert!(world.ask(&from(1001), SERVICE).is_ok(), "a new flow of the client");
+    assert!(world.ask(&from(2000), SERVICE).is_ok(), "from a port that was guessed from");
+
+    // Nobody else is let off, nor is the client in a day.
+    let stranger = |port: u16| format!("198.51.100.8:{port}");
+    let guesses = (1..100)
+        .filter(|&port| world.ask(&stranger(port), WRONG) == Err(DropReason::PasswordWrong));
+    assert_eq!(guesses.count(), 6);
+    assert_eq!(world.ask(&stranger(200), SERVICE), Err(DropReason::Throttled));
+    world.now += Duration::from_secs(24 * 3600 + 120);
+    world.expire();
+    assert!(guess(&mut world) < 10, "forgotten");
+    assert_eq!(world.ask(&from(3000), SERVICE), Err(DropReason::Throttled));
+}
+
+/// A reload forgets the clients of a net of which a password is withdrawn, and no others.
+#[test]
+fn a_withdrawn_password_makes_nobody_known() {
+    for (withdrawn, known) in [(false, true), (true, false)] {
+        let mut world = World::new(|_| {});
+        world.ask(CLIENT, SERVICE).unwrap();
+        world.reload(|net| {
+            if withdrawn {
+                net.credentials.remove(0);
+            }
+        });
+        for port in 1..100 {
+            let _ = world.ask(&format!("198.51.100.7:{port}"), WRONG);
+        }
+        let asked = world.ask("198.51.100.7:200", OTHER);
+        assert_eq!(asked.is_ok(), known, "{asked:?}");
+    }
+}

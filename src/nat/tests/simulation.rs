@@ -1,0 +1,878 @@
+//! A seeded simulation of clients, nodes, time, limits and new configurations around two cores,
+//! with the rules of the relay checked after every step.
+//!
+//! A failing run prints its seed; `SIMULATION_SEED=… cargo test simulation` replays it. What the
+//! simulation believes about a datagram comes from how it made it, never from the code under test.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fmt::Debug;
+use std::hash::{DefaultHasher, Hasher};
+use std::net::{IpAddr, Ipv4Addr, SocketAddr};
+use std::process::Command;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use fastrand::Rng;
+
+use crate::pnet::wire::{DlRoute, Header, MAX_DATAGRAM, Password};
+
+use crate::nat::*;
+
+const RUNS: u64 = 40;
+const STEPS: usize = 4_000;
+const SECOND: Duration = Duration::from_secs(1);
+/// N-9.
+const REST: Duration = Duration::from_secs(120);
+
+const CLIENTS: [&str; 10] = [
+    "198.51.100.1:1000",
+    "198.51.100.1:1001",
+    "198.51.100.2:1000",
+    "198.51.100.2:1001",
+    "198.51.100.3:1000",
+    "198.51.100.4:1000",
+    "198.51.100.5:1000",
+    "198.51.100.6:1000",
+    "203.0.113.1:1000", // outside every allow list
+    "203.0.113.2:1000",
+];
+const PUBLIC: [&str; 2] = ["192.0.2.1", "192.0.2.2"];
+/// An address of the router's own that some nets allow.
+const INSIDE: &str = "198.51.100.254";
+
+/// What the relay must do with a request that the simulation made.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Expect {
+    /// Forward it, or drop it for want of room.
+    Pass,
+    /// Drop it for this reason, or for one that is looked at before.
+    Drop(DropReason),
+}
+
+/// A request on its way through a node. No index of a table is in it: tables come and go.
+#[derive(Clone)]
+struct Asked {
+    worker: usize,
+    client: SocketAddr,
+    public_address: IpAddr,
+    public_port: u16,
+    to: ToServer,
+    sent: Instant,
+    /// As the client sent it, and as the server got it.
+    octets: [Vec<u8>; 2],
+}
+
+/// What stays the same about a flow when a new configuration comes.
+#[derive(Clone, Debug, PartialEq)]
+struct Lasting {
+    client: SocketAddr,
+    public_address: IpAddr,
+    net: String,
+    mapping: (u8, u16, SocketAddr),
+    passwords: [[u8; 8]; 2],
+    upstream_port: u16,
+}
+
+/// What may have a limit of requests.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum Limited {
+    Net(String),
+    /// Client, public address and public port.
+    Flow(SocketAddr, IpAddr, u16),
+}
+
+/// The sockets as the simulation sees them.
+struct FakeEffects {
+    rng: Rng,
+    limit: usize,
+    ports: BTreeMap<UpstreamId, u16>,
+    /// Ports that a configuration has wanted: they are not to be had any more.
+    wanted: BTreeSet<u16>,
+    opened_flows: usize,
+    closed_flows: usize,
+    /// Throttlings that have begun and not ended.
+    throttled: usize,
+}
+
+impl Effects for FakeEffects {
+    fn open_upstream(&mut self, id: UpstreamId, _: NetId, ipv4: bool) -> Option<u16> {
+        assert!(ipv4 && !self.ports.contains_key(&id), "opened twice");
+        if self.ports.len() >= self.limit {
+            return None;
+        }
+        // Few ports, so that the kernel would give freed ones again soon.
+        let port = std::iter::repeat_with(|| self.rng.u16(50_000..50_200))
+            .find(|port| self.ports.values().chain(&self.wanted).all(|other| other != port))?;
+        self.ports.insert(id, port);
+        Some(port)
+    }
+
+    fn close_upstream(&mut self, id: UpstreamId) {
+        self.ports.remove(&id).expect("closes what it opened");
+    }
+
+    fn has_upstream_port(&self, port: u16) -> bool {
+        self.ports.values().any(|&other| other == port)
+    }
+
+    fn is_own_address(&mut self, address: SocketAddr) -> bool {
+        address.ip() == INSIDE.parse::<IpAddr>().unwrap()
+    }
+
+    fn flow_opened(&mut self, _: &Table, flow: &FlowRecord) {
+        assert!(self.ports.values().any(|&port| port == flow.upstream_port));
+        self.opened_flows += 1;
+    }
+
+    fn flow_closed(&mut self, table: &Table, flow: &FlowRecord, reason: CloseReason) {
+        let net = table.net(table.mapping(flow.mapping).net);
+        assert!(reason != CloseReason::Idle || flow.idle >= net.idle_timeout, "N-2: too early");
+        self.closed_flows += 1;
+    }
+
+    fn throttling_begun(&mut self, throttled: &Throttled, _: MappingId) {
+        assert_eq!((throttled.age, throttled.refused), (Duration::ZERO, 1));
+        self.throttled += 1;
+    }
+
+    fn throttling_ended(&mut self, throttled: &Throttled) {
+        assert!(throttled.refused > 0);
+        self.throttled -= 1;
+    }
+}
+
+struct Worker {
+    core: Core,
+    counters: Arc<Counters>,
+    effects: FakeEffects,
+    rules: Rules,
+    /// What it has been told to go over to, and has not yet.
+    next: Option<Succession>,
+}
+
+struct World {
+    rng: Rng,
+    now: Instant,
+    /// The newest.
+    rules: Rules,
+    /// Flows at the last look: a lower limit came too late for them.
+    open_before: Vec<u64>,
+    /// What workers went over from within the last second, and when.
+    lately: Vec<(Instant, Rules)>,
+    /// When requests passed in the last second: of each net, and of each flow.
+    passed: BTreeMap<Limited, Vec<Instant>>,
+    workers: Vec<Worker>,
+    under_way: Vec<Asked>,
+    /// Who used a (worker, upstream port, server) last, and when (N-9).
+    users: BTreeMap<(usize, u16, SocketAddr), (SocketAddr, Instant)>,
+    next_number: u32,
+    /// Of all verdicts so far.
+    digest: DefaultHasher,
+    forwarded: usize,
+    delivered: usize,
+    /// Of those, over a port that was wanted for something else.
+    last_answers: usize,
+    reasons: [usize; DropReason::COUNT],
+}
+
+/// One of the configurations that the operator changes between. It may want a port for the press.
+fn table(rng: &mut Rng, wanted: Option<u16>) -> Table {
+    let wide = rng.u32(0..4) > 0;
+    let clients = if wide { "198.51.100.0/24" } else { "198.51.100.0/30" };
+    // Around the plant, without naming it.
+    let allow = vec![clients.parse().unwrap(), "172.16.0.0/12".parse().unwrap()];
+    let credential = |name: &str, password: &[u8; 8], device: Option<&[u8; 8]>| Credential {
+        name: name.into(),
+        password: Password::new(*password),
+        device_password: device.map(|octets| Password::new(*octets)),
+    };
+    // Requests come in bursts of about ten.
+    let mut rate = |most| rng.bool().then(|| RequestRate::new(rng.u32(1..=most)));
+    let (max_requests, max_flow_requests) = (rate(6), rate(2));
+    let idle_timeout = Duration::from_secs(if rng.u32(0..4) == 0 { 40 } else { 150 });
+    let net = |name: &str, kind, credentials, require_response_password, max_flows| Net {
+        name: name.into(),
+        kind,
+        allow: allow.clone(),
+        credentials,
+        allow_without_password: false,
+        require_response_password,
+        idle_timeout,
+        max_flows,
+        max_requests,
+        max_flow_requests,
+    };
+    let mut range = vec![
+        credential("service", b"service!", None),
+        credential("rotated", b"rotated!", Some(b"device!!")),
+    ];
+    match rng.u32(0..6) {
+        0 => drop(range.remove(0)),
+        1 => drop(range.remove(1)),
+        2 => range[1].device_password = Some(Password::new(*b"device-2")),
+        3 => range.reverse(),
+        _ => {}
+    }
+    let press = vec![credential("press", b"press!!!", None)];
+    let mapping = |net, node_address, public_port, server: &str| Mapping {
+        net: NetId(net),
+        node_address,
+        public_port,
+        server: server.parse().unwrap(),
+    };
+    let mut mappings = vec![
+        mapping(0, 1, 40_001, "172.17.17.1:34379"),
+        mapping(0, 2, 40_002, "172.17.17.2:34379"),
+        mapping(0, 33, 40_033, "172.17.17.33:34379"),
+        mapping(1, 7, wanted.unwrap_or(40_200), "172.17.18.7:34379"),
+    ];
+    match rng.u32(0..6) {
+        0 => drop(mappings.remove(rng.usize(0..4))),
+        1 => mappings[2].server = "172.17.17.34:34379".parse().unwrap(),
+        2 => mappings.rotate_left(1),
+        _ => {}
+    }
+    let section = NetKind::UdpRange { start_port: 40_000 };
+    let nets = vec![
+        net("section-1", section, range, false, rng.u32(4..14)),
+        net("press", NetKind::Server, press, true, 3),
+    ];
+    Table::new(Header::default(), nets, mappings)
+}
+
+fn limits(rng: &mut Rng) -> Limits {
+    Limits {
+        max_flows: rng.u32(5..15),
+        wrong_password_burst: 2,
+        wrong_password_address_burst: 1024,
+        wrong_password_interval: Duration::from_secs(60),
+    }
+}
+
+impl World {
+    fn new(seed: u64) -> Self {
+        let mut rng = Rng::with_seed(seed);
+        let now = Instant::now();
+        let limits = limits(&mut rng);
+        let rules = Rules::new(Arc::new(table(&mut rng, None)), limits);
+        let workers = (0..2)
+            .map(|_| {
+                let counters = Arc::new(Counters::new(&rules.table));
+                let core = Core::new(
+                    rules.clone(),
+                    Arc::clone(&counters),
+                    now,
+                    Chance::from_seed(rng.u64(..)),
+                );
+                let effects = FakeEffects {
+                    rng: rng.fork(),
+                    limit: 8,
+                    ports: BTreeMap::new(),
+                    wanted: BTreeSet::new(),
+                    opened_flows: 0,
+                    closed_flows: 0,
+                    throttled: 0,
+                };
+                Worker { core, counters, effects, rules: rules.clone(), next: None }
+            })
+            .collect();
+        Self {
+            rng,
+            now,
+            open_before: vec![0; rules.table.nets().len() + 1],
+            rules,
+            lately: Vec::new(),
+            passed: BTreeMap::new(),
+            workers,
+            under_way: Vec::new(),
+            users: BTreeMap::new(),
+            next_number: 0,
+            digest: DefaultHasher::new(),
+            forwarded: 0,
+            delivered: 0,
+            last_answers: 0,
+            reasons: [0; DropReason::COUNT],
+        }
+    }
+
+    fn step(&mut self) {
+        match self.rng.u32(0..100) {
+            0..40 => self.good_request(),
+            40..58 => self.bad_request(),
+            58..80 => self.answer(),
+            80..84 => self.bad_response(),
+            84..87 => self.go_over(),
+            87..96 => self.pass_time(1..5_000),
+            96..98 => self.pass_time(1_000..200_000),
+            98 => match self.rng.u32(0..3) {
+                0 => self.under_way.clear(), // the nodes lost power
+                _ => {
+                    let limit = self.rng.usize(0..12);
+                    self.workers.iter_mut().for_each(|worker| worker.effects.limit = limit);
+                }
+            },
+            _ => self.reload(),
+        }
+        self.check();
+    }
+
+    fn arrival(&mut self) -> (usize, Arrival) {
+        let client: SocketAddr = self.rng.choice(CLIENTS).unwrap().parse().unwrap();
+        // As the kernel does it: a client belongs to one worker.
+        let worker = usize::from(client.port() % 2);
+        let table = &self.workers[worker].rules.table;
+        let mapping = MappingId(self.rng.u32(0..table.mappings().len() as u32));
+        let public_address: IpAddr = self.rng.choice(PUBLIC).unwrap().parse().unwrap();
+        let listener = listener(table.mapping(mapping));
+        (worker, Arrival { listener, mapping, public_address, client })
+    }
+
+    fn credential(&mut self, worker: usize, arrival: &Arrival) -> usize {
+        let table = &self.workers[worker].rules.table;
+        let net = table.net(table.mapping(arrival.mapping).net);
+        self.rng.usize(0..net.credentials.len())
+    }
+
+    /// A request in IP format with a number of its own in its data.
+    fn datagram(&mut self, worker: usize, arrival: &Arrival, password: &[u8]) -> Vec<u8> {
+        let node = self.workers[worker].rules.table.mapping(arrival.mapping).node_address;
+        let route = DlRoute::new(&[11, node, 2, 33], &[11, 3, 31]).unwrap().to_route().unwrap();
+        self.next_number += 1;
+        let mut octets = Header::default().0.to_vec();
+        octets.extend(route.as_route().as_bytes());
+        octets.extend([0x02, 4]);
+        octets.extend(self.next_number.to_be_bytes());
+        octets.extend(password);
+        octets
+    }
+
+    fn good_request(&mut self) {
+        let (worker, arrival) = self.arrival();
+        let credential = self.credential(worker, &arrival);
+        let table = Arc::clone(&self.workers[worker].rules.table);
+        let net = table.net(table.mapping(arrival.mapping).net);
+        let octets = self.datagram(worker, &arrival, net.credentials[credential].password.octets());
+        let expect = if net.allow.iter().any(|network| network.contains(&arrival.client.ip())) {
+            Expect::Pass
+        } else {
+            Expect::Drop(DropReason::SourceNotAllowed)
+        };
+        self.request(worker, arrival, octets, credential, expect);
+    }
+
+    fn bad_request(&mut self) {
+        let (worker, mut arrival) = self.arrival();
+        let credential = self.credential(worker, &arrival);
+        let table = Arc::clone(&self.workers[worker].rules.table);
+        let net = table.net(table.mapping(arrival.mapping).net);
+        let password = *net.credentials[credential].password.octets();
+        let mut octets = self.datagram(worker, &arrival, &password);
+        let len = octets.len();
+        let reason = match self.rng.u32(0..16) {
+            0 => {
+                octets[len - 1] ^= 1 << self.rng.u32(0..8);
+                DropReason::PasswordWrong
+            }
+            1 => {
+                octets.truncate(len - 8);
+                DropReason::PasswordMissing
+            }
+            2 => {
+                octets.truncate(self.rng.usize(0..16));
+                DropReason::TooShort
+            }
+            3 => {
+                octets.resize(self.rng.usize(MAX_DATAGRAM + 1..=128), 0);
+                DropReason::TooLong
+            }
+            4 => {
+                octets[self.rng.usize(0..4)] ^= 1 << self.rng.u32(0..8);
+                DropReason::BadHeader
+            }
+            5 => {
+                octets[6] = 0; // remaining-route-length
+                DropReason::BadRoute
+            }
+            6 => {
+                octets[9] &= 0x7f; // two sources left of three, then one: Complex
+                octets[10] &= 0x7f;
+                DropReason::RouteFormat
+            }
+            7 => {
+                octets.push(0);
+                DropReason::BadLength
+            }
+            8 => {
+                octets[5] = if octets[5] == 99 { 98 } else { 99 };
+                DropReason::NodeMismatch
+            }
+            9 => {
+                // What is withdrawn is so at once.
+                let passwords = [b"service!", b"rotated!", b"device!!", b"device-2", b"press!!!"];
+                let known = |other: &[u8; 8]| {
+                    net.credentials.iter().any(|credential| credential.password.octets() == other)
+                };
+                let other = self.rng.choice(passwords).filter(|other| !known(other));
+                let Some(other) = other else { return };
+                octets[len - 8..].copy_from_slice(other);
+                DropReason::PasswordWrong
+            }
+            10 => {
+                octets[self.rng.choice([4, 5, 7, 8]).unwrap()] = self.rng.u8(126..=127);
+                DropReason::Broadcast
+            }
+            11 => {
+                let ports = self.workers[worker].effects.ports.values().copied();
+                let Some(port) = self.rng.choice(ports.collect::<Vec<_>>()) else { return };
+                let address = self.rng.choice([arrival.public_address, INSIDE.parse().unwrap()]);
+                arrival.client = (address.unwrap(), port).into();
+                DropReason::Loop
+            }
+            12 => {
+                arrival.public_address = Ipv4Addr::UNSPECIFIED.into();
+                DropReason::NotUnicast
+            }
+            13 => {
+                arrival.client.set_port(0);
+                DropReason::Unanswerable
+            }
+            14 => {
+                arrival.client = "172.17.17.44:34379".parse().unwrap(); // a node's
+                DropReason::SourceNotAllowed
+            }
+            _ => {
+                octets = std::iter::repeat_with(|| self.rng.u8(..)).take(len).collect();
+                octets[0] = 0xff;
+                DropReason::BadHeader
+            }
+        };
+        self.request(worker, arrival, octets, credential, Expect::Drop(reason));
+    }
+
+    fn request(
+        &mut self,
+        worker: usize,
+        arrival: Arrival,
+        octets: Vec<u8>,
+        credential: usize,
+        expect: Expect,
+    ) {
+        let Worker { core, effects, rules, .. } = &mut self.workers[worker];
+        let table = Arc::clone(&rules.table);
+        let limits = rules.limits;
+        let mapping = table.mapping(arrival.mapping);
+        let net = table.net(mapping.net);
+        let mut passed = octets.clone();
+        let known = core.flows(self.now).any(|flow| {
+            (flow.client, flow.public_address, flow.mapping)
+                == (arrival.client, arrival.public_address, arrival.mapping)
+        });
+        let verdict = core.request(self.now, &arrival, &mut passed, effects);
+        note(&mut self.digest, &(arrival, verdict, &passed));
+        if let Err(reason) = verdict {
+            self.reasons[reason as usize] += 1;
+        }
+        let limited = [
+            (Limited::Net(net.name.clone()), net.max_requests),
+            (
+                Limited::Flow(arrival.client, arrival.public_address, mapping.public_port),
+                net.max_flow_requests,
+            ),
+        ];
+        let rates = limited.map(|(limited, rate)| {
+            let passed = self.passed.entry(limited).or_default();
+            passed.extend(verdict.is_ok().then_some(self.now));
+            passed.retain(|&at| self.now - at < SECOND);
+            rate.map(|rate| (rate.per_second() as usize, passed.len()))
+        });
+        self.lately.retain(|(at, _)| self.now - *at < SECOND);
+        if self.lately.is_empty() && self.workers.iter().all(|worker| worker.next.is_none()) {
+            let within = |&(rate, passed): &(usize, usize)| passed <= 2 * rate;
+            assert!(rates.iter().flatten().all(within), "(rate, passed): {rates:?}");
+            if verdict == Err(DropReason::RequestLimit) {
+                let used_up = |&(rate, passed): &(usize, usize)| passed >= rate;
+                assert!(rates.iter().flatten().any(used_up), "(rate, passed): {rates:?}");
+            }
+        } else if let Some(most) = self.most_requests(mapping.net) {
+            let passed = self.passed[&Limited::Net(net.name.clone())].len();
+            assert!(passed <= 2 * most, "a reload fills no bucket: {passed} of {most} a second");
+        }
+        match (expect, verdict) {
+            (Expect::Pass, Err(DropReason::RequestLimit)) => {
+                assert!(rates.iter().any(Option::is_some), "nothing is limited");
+            }
+            (Expect::Pass, Ok(to)) => {
+                assert_eq!(to.server, mapping.server, "R-9");
+                let head = octets.len() - 8;
+                assert_eq!(passed[..head], octets[..head], "R-8");
+                let at_server = net.credentials[credential].at_server().octets();
+                assert_eq!(&passed[head..], at_server);
+                let Worker { core, effects, .. } = &mut self.workers[worker];
+                let port = effects.ports[&to.via];
+                let key = (worker, port, to.server);
+                if let Some((client, last)) = self.users.insert(key, (arrival.client, self.now))
+                    && client != arrival.client
+                {
+                    let idle = self.now - last;
+                    assert!(idle >= REST, "N-9: another client's port after {idle:?}");
+                }
+                if self.rng.u32(0..20) == 0 {
+                    core.send_failed(arrival.mapping, Direction::Request);
+                    return;
+                }
+                core.request_sent(self.now, arrival.mapping, to.asks, passed.len());
+                self.forwarded += 1;
+                self.under_way.push(Asked {
+                    worker,
+                    client: arrival.client,
+                    public_address: arrival.public_address,
+                    public_port: mapping.public_port,
+                    to,
+                    sent: self.now,
+                    octets: [octets, passed],
+                });
+            }
+            (Expect::Pass, Err(reason)) => {
+                let want_of_room =
+                    [DropReason::FlowLimit, DropReason::UpstreamExhausted, DropReason::Throttled];
+                assert!(want_of_room.contains(&reason), "{reason:?}");
+                assert!(!known, "N-8: an open flow is served whatever is full, not {reason:?}");
+                let open = self.open_flows();
+                let full = open[usize::from(mapping.net.0)] >= u64::from(net.max_flows)
+                    || open[open.len() - 1] >= u64::from(limits.max_flows);
+                let budget = &self.workers[worker].rules.budget;
+                let full = full || !budget.has_room_for_pair(mapping.net);
+                assert!(full || reason != DropReason::FlowLimit, "{open:?}");
+                let effects = &self.workers[worker].effects;
+                let sockets_left = effects.ports.len() < effects.limit;
+                assert!(!(sockets_left && reason == DropReason::UpstreamExhausted));
+            }
+            (Expect::Drop(expected), Err(reason)) => {
+                let before = [DropReason::SourceNotAllowed, DropReason::Throttled];
+                assert!(
+                    reason == expected || (!known && before.contains(&reason)),
+                    "{reason:?} instead of {expected:?}"
+                );
+            }
+            (Expect::Drop(expected), Ok(_)) => panic!("passed instead of {expected:?}"),
+        }
+    }
+
+    /// A node answers one of the requests under way: with its password or without one.
+    fn answer(&mut self) {
+        if self.under_way.is_empty() {
+            return;
+        }
+        let asked = self.under_way.swap_remove(self.rng.usize(0..self.under_way.len()));
+        if self.now - asked.sent >= REST {
+            return; // later than any node answers, and than N-9 protects
+        }
+        let [as_sent, as_got] = asked.octets;
+        let mut octets = as_got;
+        let without_password = self.rng.u32(0..10) == 0;
+        if without_password {
+            octets.truncate(octets.len() - 8);
+        }
+        let len = octets.len();
+        let Worker { core, rules, .. } = &self.workers[asked.worker];
+        let table = Arc::clone(&rules.table);
+        // Also one that is closed but for its last answers.
+        let known = core.takes_answers(asked.client, asked.to.server);
+        let port = self.workers[asked.worker].effects.ports.get(&asked.to.via);
+        let is_shown = core.flows(self.now).any(|flow| Some(&flow.upstream_port) == port);
+        match self.response(asked.worker, asked.to.via, asked.to.server, &mut octets) {
+            Ok(to) => {
+                assert!(known, "an answer through a flow that is withdrawn");
+                let mapping = table.mapping(to.mapping);
+                assert_eq!(
+                    (to.client, to.public_address, mapping.public_port, mapping.server),
+                    (asked.client, asked.public_address, asked.public_port, asked.to.server),
+                    "an answer to another client, or from another port"
+                );
+                assert_eq!(to.via, listener(mapping), "the socket of the port");
+                assert!(!(without_password && table.net(mapping.net).require_response_password));
+                assert_eq!(octets, as_sent[..len], "R-8");
+                self.delivered += 1;
+                self.last_answers += usize::from(!is_shown);
+            }
+            Err(DropReason::UnknownFlow | DropReason::PasswordMismatch) => {}
+            Err(reason) => panic!("a good answer was dropped: {reason:?}"),
+        }
+    }
+
+    /// A datagram at an upstream socket that must not reach any client.
+    fn bad_response(&mut self) {
+        let worker = self.rng.usize(0..self.workers.len());
+        let ports = &self.workers[worker].effects.ports;
+        let Some(&via) = self.rng.choice(ports.keys().collect::<Vec<_>>()) else { return };
+        let table = Arc::clone(&self.workers[worker].rules.table);
+        let server = self.rng.choice(table.mappings()).unwrap().server;
+        let (other, arrival) = self.arrival();
+        let mut octets = self.datagram(other, &arrival, b"nobody's");
+        let (server, reasons): (SocketAddr, &[_]) = match self.rng.u32(0..4) {
+            0 => ("172.17.17.99:34379".parse().unwrap(), &[DropReason::UnknownFlow]),
+            1 => (SocketAddr::new(server.ip(), 34_378), &[DropReason::UnknownFlow]),
+            2 => (server, &[DropReason::UnknownFlow, DropReason::PasswordMismatch]),
+            _ => {
+                octets.truncate(self.rng.usize(0..octets.len() - 8));
+                let cut = [DropReason::UnknownFlow, DropReason::TooShort];
+                let mut reasons = cut.to_vec();
+                reasons.extend([DropReason::BadRoute, DropReason::BadLength]);
+                (server, reasons.leak())
+            }
+        };
+        let verdict = self.response(worker, via, server, &mut octets);
+        let reason = verdict.expect_err("a bad response passed");
+        assert!(reasons.contains(&reason), "{reason:?}");
+    }
+
+    fn response(
+        &mut self,
+        worker: usize,
+        via: UpstreamId,
+        server: SocketAddr,
+        octets: &mut [u8],
+    ) -> Result<ToClient, DropReason> {
+        let Worker { core, effects, .. } = &mut self.workers[worker];
+        let verdict = core.response(self.now, via, server, octets);
+        note(&mut self.digest, &(via, server, verdict, &octets));
+        match verdict {
+            Ok(to) => {
+                core.response_sent(to.mapping, octets.len());
+                let used = (to.client, self.now);
+                self.users.insert((worker, effects.ports[&via], server), used);
+            }
+            Err(reason) => self.reasons[reason as usize] += 1,
+        }
+        verdict
+    }
+
+    fn pass_time(&mut self, milliseconds: std::ops::Range<u64>) {
+        self.now += Duration::from_millis(self.rng.u64(milliseconds));
+        // Or the worker has something else to do first.
+        let to_the_end = self.rng.u32(0..4) > 0;
+        for (index, Worker { core, effects, rules, .. }) in self.workers.iter_mut().enumerate() {
+            let table = &rules.table;
+            let idle = |flow: &FlowRecord| {
+                let server = table.mapping(flow.mapping).server;
+                self.now - self.users[&(index, flow.upstream_port, server)].1
+            };
+            let lively = |flow: &FlowRecord| {
+                idle(flow) < table.net(table.mapping(flow.mapping).net).idle_timeout
+            };
+            let expected = core.flows(self.now).filter(lively).count();
+            // The first round may be the rest of one that began earlier.
+            for _ in 0..2 {
+                while core.expire(self.now, effects) && to_the_end {}
+            }
+            let left = core.flows(self.now).filter(lively).count();
+            assert_eq!(left, expected, "N-2, N-3: closed too early");
+            // A shorter time-out is found when a flow goes over to it.
+            if to_the_end && core.going_over.is_none() {
+                assert_eq!(core.flows(self.now).count(), left, "N-2: idle for too long");
+            }
+        }
+    }
+
+    /// The operator brings a new configuration. The workers go over to it one after the other.
+    fn reload(&mut self) {
+        while self.workers.iter().any(|worker| worker.next.is_some()) {
+            self.go_over();
+        }
+        for Worker { core, effects, .. } in &mut self.workers {
+            while core.going_over.is_some() {
+                core.go_over(self.now, effects);
+            }
+        }
+        let limits = limits(&mut self.rng);
+        // The port of a socket that waits for an answer, now and then.
+        let wanted = self.rng.choice(&self.under_way).filter(|_| self.rng.u32(0..4) > 0);
+        let wanted = wanted
+            .and_then(|asked| self.workers[asked.worker].effects.ports.get(&asked.to.via).copied());
+        for Worker { effects, .. } in &mut self.workers {
+            effects.wanted.extend(wanted);
+        }
+        let rules = self.rules.followed_by(Arc::new(table(&mut self.rng, wanted)), limits);
+        let (old, new) = (&self.rules.table, &rules.table);
+        let listeners = |table: &Table| -> BTreeSet<_> {
+            table.mappings().iter().copied().map(listener).collect()
+        };
+        let gone = listeners(old).difference(&listeners(new)).copied().collect();
+        let transition = Arc::new(Transition::new(&self.rules, &rules, gone));
+        for worker in &mut self.workers {
+            worker.next = Some(Succession {
+                rules: rules.clone(),
+                counters: Arc::new(worker.counters.followed_by(old, new)),
+                transition: Arc::clone(&transition),
+            });
+        }
+        self.rules = rules;
+    }
+
+    /// A worker goes over to the new configuration, or some more of its flows do.
+    fn go_over(&mut self) {
+        let now = self.now;
+        let Worker { core, effects, counters, rules, next } =
+            self.rng.choice(&mut self.workers).unwrap();
+        let Some(next) = next.take() else {
+            core.go_over(now, effects);
+            return;
+        };
+        let before: Vec<_> = core.flows(now).map(|flow| lasting(&rules.table, &flow)).collect();
+        *counters = Arc::clone(&next.counters);
+        let old = std::mem::replace(rules, next.rules.clone());
+        core.reload(now, next, effects);
+        let new = &rules.table;
+        let after: Vec<_> = core.flows(now).map(|flow| lasting(new, &flow)).collect();
+        for flow in &before {
+            assert_eq!(after.contains(flow), is_good(new, flow), "{flow:?}");
+        }
+        assert!(after.iter().all(|flow| before.contains(flow)), "flows out of nowhere");
+        self.lately.push((now, old));
+    }
+
+    /// The most requests a second that a net may have had under the rules of the last second; none
+    /// when some set no limit.
+    fn most_requests(&self, net: NetId) -> Option<usize> {
+        let rules = self.workers.iter().map(|worker| &worker.rules);
+        let rules = rules.chain(self.lately.iter().map(|(_, rules)| rules));
+        let rates: Option<Vec<_>> = rules.map(|rules| rules.table.net(net).max_requests).collect();
+        rates?.into_iter().map(|rate| rate.per_second() as usize).max()
+    }
+
+    /// Open flows of each net, and of all.
+    fn open_flows(&self) -> Vec<u64> {
+        let open =
+            |net| self.workers.iter().map(|worker| worker.counters.net(net).flows.get()).sum();
+        let mut open: Vec<u64> =
+            (0..self.rules.table.nets().len() as u16).map(|net| open(NetId(net))).collect();
+        open.push(open.iter().sum());
+        open
+    }
+
+    fn check(&mut self) {
+        let pairs: usize = self.workers.iter().map(|worker| worker.core.upstreams.pairs()).sum();
+        assert_eq!(self.rules.budget.pairs_taken(), pairs, "each pair has its place");
+        for Worker { core, counters, effects, rules, .. } in &self.workers {
+            core.check_invariants(self.now);
+            let (told, flows) =
+                (effects.opened_flows - effects.closed_flows, core.flows(self.now).count());
+            // What is withdrawn is shown no more, and is closed in its turn.
+            assert!(flows == told || (flows < told && core.going_over.is_some()), "N-10");
+            assert_eq!(effects.throttled == 0, core.throttle.is_quiet());
+            let nodes = rules.table.mapping_ids().map(|id| counters.node(id));
+            for node in nodes.chain([&*counters.stray]) {
+                for direction in Direction::ALL.map(|direction| node.direction(direction)) {
+                    let accounted = direction.forwarded.get() + direction.dropped_total();
+                    assert_eq!(direction.received.get(), accounted, "the law of the counters");
+                }
+            }
+        }
+        let open = self.open_flows();
+        for (index, (&open, &before)) in open.iter().zip(&self.open_before).enumerate() {
+            let limit = |rules: &Rules| match rules.table.nets().get(index) {
+                Some(net) => net.max_flows,
+                None => rules.limits.max_flows,
+            };
+            let limit = self.workers.iter().map(|worker| limit(&worker.rules)).max();
+            let most = limit.map(u64::from).max(Some(before));
+            assert!(Some(open) <= most, "N-8: {open} flows, limit {limit:?}");
+        }
+        self.open_before = open;
+    }
+}
+
+/// The public socket of a port. It keeps its name as long as there is one.
+fn listener(mapping: Mapping) -> ListenerId {
+    ListenerId(mapping.public_port.into())
+}
+
+/// Adds to a digest what was seen.
+fn note(digest: &mut DefaultHasher, seen: &impl Debug) {
+    digest.write(format!("{seen:?}").as_bytes());
+}
+
+fn lasting(table: &Table, flow: &FlowRecord) -> Lasting {
+    let mapping = table.mapping(flow.mapping);
+    let net = table.net(mapping.net);
+    let credential = &net.credentials[flow.credential.unwrap()];
+    Lasting {
+        client: flow.client,
+        public_address: flow.public_address,
+        net: net.name.clone(),
+        mapping: (mapping.node_address, mapping.public_port, mapping.server),
+        passwords: [&credential.password, credential.at_server()]
+            .map(|password| *password.octets()),
+        upstream_port: flow.upstream_port,
+    }
+}
+
+/// Whether a flow has its mapping, its passwords and its client's address in this table.
+fn is_good(table: &Table, flow: &Lasting) -> bool {
+    table.mappings().iter().any(|mapping| {
+        let net = table.net(mapping.net);
+        let passwords = |credential: &Credential| {
+            [&credential.password, credential.at_server()].map(|password| *password.octets())
+        };
+        (mapping.node_address, mapping.public_port, mapping.server) == flow.mapping
+            && net.name == flow.net
+            && net.allow.iter().any(|network| network.contains(&flow.client.ip()))
+            && net.credentials.iter().any(|credential| passwords(credential) == flow.passwords)
+    })
+}
+
+fn run(seed: u64) -> World {
+    /// Tells the seed when a step panics.
+    struct Seed(u64);
+    impl Drop for Seed {
+        fn drop(&mut self) {
+            if std::thread::panicking() {
+                println!("replay with SIMULATION_SEED={}", self.0);
+            }
+        }
+    }
+    let seed = Seed(seed);
+    let mut world = World::new(seed.0);
+    (0..STEPS).for_each(|_| world.step());
+    world
+}
+
+#[test]
+fn simulation_holds_the_rules_after_every_step() {
+    if let Ok(seed) = std::env::var("SIMULATION_SEED") {
+        let world = run(seed.parse().expect("SIMULATION_SEED is a number"));
+        return println!("digest {:016x}", world.digest.finish());
+    }
+    let (mut forwarded, mut delivered, mut last_answers) = (0, 0, 0);
+    let mut reasons = [0; DropReason::COUNT];
+    for _ in 0..RUNS {
+        let world = run(Rng::new().u64(..));
+        forwarded += world.forwarded;
+        delivered += world.delivered;
+        last_answers += world.last_answers;
+        (0..reasons.len()).for_each(|reason| reasons[reason] += world.reasons[reason]);
+    }
+    // A simulation in which nothing happens proves nothing.
+    assert!(forwarded > 10_000 && delivered > 5_000, "{forwarded} {delivered}");
+    assert!(last_answers > 0, "no port was ever wanted while answers were due");
+    for reason in DropReason::REQUEST.into_iter().chain(DropReason::RESPONSE) {
+        assert!(
+            reasons[reason as usize] > 0 || reason == DropReason::SendFailed,
+            "{reason:?} never happened"
+        );
+    }
+}
+
+/// Or a seed that a failing run prints would be of no use.
+#[test]
+fn one_seed_is_one_path_in_every_process() {
+    let digest = || {
+        let test = "nat::tests::simulation::simulation_holds_the_rules_after_every_step";
+        let mut replay = Command::new(std::env::current_exe().unwrap());
+        replay.args(["--exact", test, "--nocapture"]).env("SIMULATION_SEED", "62412");
+        let output = String::from_utf8(replay.output().unwrap().stdout).unwrap();
+        let digest = output.lines().find_map(|line| Some(line.split_once("digest ")?.1.to_owned()));
+        digest.unwrap_or_else(|| panic!("{output}"))
+    };
+    assert_eq!(digest(), digest());
+}

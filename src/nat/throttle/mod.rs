@@ -1,0 +1,282 @@
+//! Who sent wrong passwords lately.
+//!
+//! Two token buckets judge a sender: one of its address and port, and a wider one of its address (an
+//! IPv4 address or an IPv6 /64), so that one guesser behind a shared address does not shut out his
+//! neighbours at once. The tables have a fixed size: a stranger with a million addresses cannot make
+//! them grow, and honest senders are not in them, so there is nothing of theirs to push out. To be
+//! pushed out is to be forgiven early, and the lightest offender of its set goes first; a newcomer
+//! always finds a place, or full tables would leave him unobserved.
+
+#[cfg(test)]
+mod tests;
+mod throttled;
+
+use std::hash::{BuildHasher, Hasher};
+use std::net::{IpAddr, SocketAddr};
+use std::time::Duration;
+
+use foldhash::fast::SeedableRandomState;
+
+use super::effects::Effects;
+use super::ids::MappingId;
+use super::table::Limits;
+use super::time::Nanos;
+
+pub use throttled::{ThrottleScope, Throttled};
+
+const SETS: usize = 512;
+const WAYS: usize = 4;
+
+/// The buckets of those who sent a wrong password.
+#[derive(Debug)]
+pub(super) struct Throttle {
+    hash: SeedableRandomState,
+    addresses: Buckets,
+    senders: Buckets,
+    /// Whether somebody may owe more than the limits let anybody owe: they are other ones than when
+    /// he guessed.
+    clamp_is_due: bool,
+}
+
+/// Buckets of one scope. Each scope has its own, or the two of one sender could push each other out.
+#[derive(Debug)]
+struct Buckets {
+    scope: ThrottleScope,
+    rate: Rate,
+    sets: Box<[[Offender; WAYS]]>,
+    /// Who is throttled at each place of `sets`. Apart from them, for it is seldom looked at.
+    throttled: Box<[[Option<Record>; WAYS]]>,
+    throttled_now: usize,
+}
+
+#[derive(Clone, Copy, Debug, Default)]
+struct Offender {
+    key: u64,
+    /// When all its wrong passwords will be forgiven; in the past, the place is free.
+    forgiven_at: Nanos,
+}
+
+/// How a bucket fills and drains, in nanoseconds.
+#[derive(Clone, Copy, Debug)]
+struct Rate {
+    /// What a wrong password costs.
+    interval: u64,
+    /// What may be owed at most when one more wrong password is still bearable.
+    bearable: u64,
+    /// The most that anybody can owe: the time until who guesses no more is forgiven all.
+    most: u64,
+}
+
+/// [`Throttled`], as the table keeps it.
+#[derive(Clone, Copy, Debug)]
+struct Record {
+    sender: SocketAddr,
+    since: Nanos,
+    refused: u64,
+}
+
+impl Throttle {
+    pub(super) fn new(limits: &Limits, hash: SeedableRandomState) -> Self {
+        Self {
+            hash,
+            addresses: Buckets::new(ThrottleScope::Address, limits),
+            senders: Buckets::new(ThrottleScope::Sender, limits),
+            clamp_is_due: false,
+        }
+    }
+
+    /// Goes over to other limits. What senders owe stays, as far as they could owe it under the new
+    /// ones: it is kept as a time, and "24h" made "1s" would not let go of them for days.
+    pub(super) fn set_limits(&mut self, limits: &Limits) {
+        for buckets in [&mut self.addresses, &mut self.senders] {
+            buckets.rate = Rate::of(buckets.scope, limits);
+        }
+        self.clamp_is_due = true;
+    }
+
+    /// Whether a password that this sender sent to this public port is looked at: always, where the
+    /// sender is known.
+    #[inline]
+    pub(super) fn admits(
+        &mut self,
+        now: Nanos,
+        sender: SocketAddr,
+        mapping: MappingId,
+        is_known: impl FnOnce() -> bool,
+        effects: &mut impl Effects,
+    ) -> bool {
+        self.clamp_if_due(now);
+        let address_key = self.address_key(sender);
+        let (refusing, key) = if !self.addresses.bear(now, address_key) {
+            (&mut self.addresses, address_key)
+        } else {
+            let sender_key = self.sender_key(sender);
+            if self.senders.bear(now, sender_key) {
+                return true;
+            }
+            (&mut self.senders, sender_key)
+        };
+        if is_known() {
+            return true;
+        }
+        if let Some(begun) = refusing.note_refusal(now, key, sender) {
+            effects.throttling_begun(&begun, mapping);
+        }
+        false
+    }
+
+    /// Notes a wrong password of this sender.
+    pub(super) fn wrong_password(
+        &mut self,
+        now: Nanos,
+        sender: SocketAddr,
+        effects: &mut impl Effects,
+    ) {
+        let keys = [self.address_key(sender), self.sender_key(sender)];
+        for (buckets, key) in [&mut self.addresses, &mut self.senders].into_iter().zip(keys) {
+            if let Some(pushed_out) = buckets.charge(now, key) {
+                effects.throttling_ended(&pushed_out);
+            }
+        }
+    }
+
+    /// Tells of those whose wrong passwords are all forgiven; not before, or who goes on guessing
+    /// would be told of each time that one is. To be called about once a second.
+    pub(super) fn expire(&mut self, now: Nanos, effects: &mut impl Effects) {
+        self.clamp_if_due(now);
+        self.addresses.expire(now, effects);
+        self.senders.expire(now, effects);
+    }
+
+    /// Whether nobody is throttled, so that nothing will expire.
+    pub(super) fn is_quiet(&self) -> bool {
+        self.addresses.throttled_now == 0 && self.senders.throttled_now == 0
+    }
+
+    fn clamp_if_due(&mut self, now: Nanos) {
+        if std::mem::take(&mut self.clamp_is_due) {
+            self.addresses.clamp(now);
+            self.senders.clamp(now);
+        }
+    }
+
+    fn address_key(&self, sender: SocketAddr) -> u64 {
+        let mut hasher = self.hash.build_hasher();
+        match sender.ip().to_canonical() {
+            IpAddr::V4(address) => hasher.write_u32(address.to_bits()),
+            // A subscriber owns a /64 at least.
+            IpAddr::V6(address) => hasher.write_u64((address.to_bits() >> 64) as u64),
+        }
+        hasher.finish().max(1)
+    }
+
+    fn sender_key(&self, sender: SocketAddr) -> u64 {
+        self.hash.hash_one((sender.ip().to_canonical(), sender.port())).max(1)
+    }
+}
+
+impl Buckets {
+    fn new(scope: ThrottleScope, limits: &Limits) -> Self {
+        Self {
+            scope,
+            rate: Rate::of(scope, limits),
+            sets: vec![[Offender::default(); WAYS]; SETS].into_boxed_slice(),
+            throttled: vec![[None; WAYS]; SETS].into_boxed_slice(),
+            throttled_now: 0,
+        }
+    }
+
+    /// Whether one more wrong password is bearable.
+    #[inline]
+    fn bear(&self, now: Nanos, key: u64) -> bool {
+        self.sets[set(key)].iter().all(|offender| {
+            offender.key != key || offender.forgiven_at.saturating_sub(now) <= self.rate.bearable
+        })
+    }
+
+    /// Counts a refused request, and tells when it is the first one.
+    fn note_refusal(&mut self, now: Nanos, key: u64, sender: SocketAddr) -> Option<Throttled> {
+        let way = self.sets[set(key)].iter().position(|offender| offender.key == key)?;
+        let record = &mut self.throttled[set(key)][way];
+        if let Some(record) = record {
+            record.refused += 1;
+            return None;
+        }
+        self.throttled_now += 1;
+        let begun = record.insert(Record { sender, since: now, refused: 1 });
+        Some(begun.told(self.scope, now))
+    }
+
+    /// Adds a wrong password, and tells whose throttling ends because the place is needed.
+    fn charge(&mut self, now: Nanos, key: u64) -> Option<Throttled> {
+        let ways = &mut self.sets[set(key)];
+        let known = ways.iter().position(|offender| offender.key == key);
+        let way = known.unwrap_or_else(|| lightest(ways));
+        let owed = if known.is_some() { ways[way].forgiven_at.max(now) } else { now };
+        // Who is known is not refused, and still owes no more than anybody can.
+        let most = now.saturating_add(self.rate.most);
+        let forgiven_at = owed.saturating_add(self.rate.interval).min(most);
+        ways[way] = Offender { key, forgiven_at };
+        let pushed_out = self.throttled[set(key)][way].take_if(|_| known.is_none())?;
+        self.throttled_now -= 1;
+        Some(pushed_out.told(self.scope, now))
+    }
+
+    fn clamp(&mut self, now: Nanos) {
+        let latest = now.saturating_add(self.rate.most);
+        for offender in self.sets.as_flattened_mut() {
+            offender.forgiven_at = offender.forgiven_at.min(latest);
+        }
+    }
+
+    fn expire(&mut self, now: Nanos, effects: &mut impl Effects) {
+        if self.throttled_now == 0 {
+            return;
+        }
+        let offenders = self.sets.as_flattened().iter();
+        for (offender, record) in offenders.zip(self.throttled.as_flattened_mut()) {
+            if let Some(ended) = record.take_if(|_| offender.forgiven_at <= now) {
+                self.throttled_now -= 1;
+                effects.throttling_ended(&ended.told(self.scope, now));
+            }
+        }
+    }
+}
+
+impl Record {
+    fn told(&self, scope: ThrottleScope, now: Nanos) -> Throttled {
+        let Self { sender, since, refused } = *self;
+        Throttled { scope, sender, age: Duration::from_nanos(now - since), refused }
+    }
+}
+
+impl Rate {
+    fn of(scope: ThrottleScope, limits: &Limits) -> Self {
+        let senders_burst = u64::from(limits.wrong_password_burst);
+        let burst = match scope {
+            ThrottleScope::Sender => senders_burst,
+            ThrottleScope::Address => u64::from(limits.wrong_password_address_burst),
+        };
+        // Whatever is owed, all of it is forgiven in the same time.
+        let most = nanos(limits.wrong_password_interval).saturating_mul(senders_burst);
+        let interval = most / burst.max(1);
+        Self { interval, bearable: interval.saturating_mul(burst.saturating_sub(1)), most }
+    }
+}
+
+fn set(key: u64) -> usize {
+    (key >> 32) as usize % SETS
+}
+
+fn lightest(ways: &[Offender; WAYS]) -> usize {
+    (1..WAYS).fold(
+        0,
+        |best, way| {
+            if ways[way].forgiven_at < ways[best].forgiven_at { way } else { best }
+        },
+    )
+}
+
+fn nanos(duration: Duration) -> Nanos {
+    u64::try_from(duration.as_nanos()).unwrap_or(u64::MAX)
+}

@@ -1,0 +1,92 @@
+//! What becomes of flows when new rules come: which of the old ones' indices is which of the new
+//! ones', or why there is none.
+//!
+//! Worked out once for all workers, so that a worker that goes over looks nothing up by name.
+
+use std::collections::{BTreeSet, HashMap};
+
+use super::flow::Flow;
+use super::ids::{ListenerId, MappingId, NetId};
+use super::reason::CloseReason;
+use super::rules::Rules;
+use super::table::{Credential, Net, Table};
+
+/// The way from one table to the next.
+#[derive(Debug)]
+pub struct Transition {
+    /// By the old mapping: the same net, node, public port and server.
+    mappings: Box<[Option<MappingId>]>,
+    /// By the old net and the old credential: the same passwords.
+    credentials: Box<[Box<[Option<u16>]>]>,
+    /// Public sockets that are there no more.
+    gone: BTreeSet<ListenerId>,
+}
+
+/// Where a flow stands in new rules.
+pub(super) struct FlowTarget {
+    pub mapping: MappingId,
+    pub credential: Option<u16>,
+}
+
+impl Transition {
+    /// The way from `old` to `new`, which leaves the public sockets `gone` behind.
+    pub fn new(old: &Rules, new: &Rules, gone: BTreeSet<ListenerId>) -> Self {
+        let (old, new) = (&*old.table, &*new.table);
+        let known: HashMap<_, _> =
+            new.nets().iter().map(|net| &net.name).zip(new.net_ids()).collect();
+        let nets: Vec<Option<NetId>> =
+            old.nets().iter().map(|net| known.get(&net.name).copied()).collect();
+        let mappings = old.mappings().iter().map(|was| {
+            let net = nets[usize::from(was.net.0)]?;
+            new.mapping_of_server(was.server).filter(|&mapping| {
+                let is = new.mapping(mapping);
+                (is.net, is.public_port, is.node_address)
+                    == (net, was.public_port, was.node_address)
+            })
+        });
+        let credentials = old.nets().iter().zip(&nets).map(|(was, is)| {
+            let same = |credential: &Credential| same_credential(credential, new.net((*is)?));
+            was.credentials.iter().map(same).collect()
+        });
+        Self { mappings: mappings.collect(), credentials: credentials.collect(), gone }
+    }
+
+    /// What a credential of an old net is called now, if its passwords are still there.
+    pub(super) fn credential(&self, net: NetId, index: u16) -> Option<u16> {
+        self.credentials[usize::from(net.0)][usize::from(index)]
+    }
+
+    /// Where a flow of the old table stands in the new one, or why it has to go.
+    pub(super) fn place(
+        &self,
+        flow: &Flow,
+        old: &Table,
+        new: &Table,
+    ) -> Result<FlowTarget, CloseReason> {
+        let mapping = self.mappings[flow.mapping.0 as usize];
+        let here = !self.gone.contains(&flow.endpoints.listener);
+        let mapping = mapping.filter(|_| here).ok_or(CloseReason::MappingRemoved)?;
+        let id = new.mapping(mapping).net;
+        let net = new.net(id);
+        if !new.allows(id, flow.endpoints.client.ip()) {
+            return Err(CloseReason::SourceWithdrawn);
+        }
+        let credential = match flow.credential {
+            None if net.allow_without_password => None,
+            None => return Err(CloseReason::PasswordWithdrawn),
+            Some(index) => {
+                let is = self.credential(old.mapping(flow.mapping).net, index);
+                Some(is.ok_or(CloseReason::PasswordWithdrawn)?)
+            }
+        };
+        Ok(FlowTarget { mapping, credential })
+    }
+}
+
+/// Index of the credential with these passwords, the one of clients and the one of servers.
+pub(super) fn same_credential(was: &Credential, net: &Net) -> Option<u16> {
+    net.credential(was.password.octets()).filter(|&index| {
+        let is = &net.credentials[usize::from(index)];
+        bool::from(is.at_server().matches(was.at_server().octets()))
+    })
+}

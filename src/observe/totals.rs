@@ -1,0 +1,353 @@
+//! The one place that adds up the workers' counters: for a node, for the nodes of a net, for a
+//! net. Metrics, admin API, log and demo all read these sums.
+//!
+//! The workers go on counting while they are read, so figures that belong together may be some
+//! datagrams apart; each alone never runs backwards (`flows` apart).
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use crate::nat::{
+    CloseReason, Counter, Counters, Direction, DirectionCounters, DropReason, FINE_BOUNDS,
+    FINE_BUCKETS, MappingId, NetId, NodeCounters, RESPONSE_BUCKETS, SourceSketch, Table,
+};
+
+/// Datagrams of one direction.
+#[derive(Clone, Debug, Default)]
+pub struct DirectionTotals {
+    /// Datagrams taken from the kernel.
+    pub received: u64,
+    /// Datagrams handed back to the kernel.
+    pub forwarded: u64,
+    /// UDP payload octets of the forwarded ones.
+    pub forwarded_bytes: u64,
+    dropped: [u64; DropReason::COUNT],
+}
+
+impl DirectionTotals {
+    /// Datagrams dropped for this reason.
+    pub fn dropped(&self, reason: DropReason) -> u64 {
+        self.dropped[reason as usize]
+    }
+
+    /// Datagrams dropped, whatever the reason.
+    pub fn dropped_total(&self) -> u64 {
+        self.dropped.iter().sum()
+    }
+
+    fn add(&mut self, counters: &DirectionCounters, reasons: &[DropReason]) {
+        self.received += counters.received.get();
+        self.forwarded += counters.forwarded.get();
+        self.forwarded_bytes += counters.forwarded_bytes.get();
+        for &reason in reasons {
+            self.dropped[reason as usize] += counters.dropped(reason).get();
+        }
+    }
+}
+
+/// Response times: from a forwarded request to its forwarded response.
+#[derive(Clone, Debug)]
+pub struct ResponseTotals([BucketTotals; FINE_BUCKETS]);
+
+/// Answers that took about the same time.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct BucketTotals {
+    /// How many there were.
+    pub answers: u64,
+    /// The sum of their times.
+    pub sum: Duration,
+}
+
+impl Default for ResponseTotals {
+    fn default() -> Self {
+        Self([BucketTotals::default(); FINE_BUCKETS])
+    }
+}
+
+impl ResponseTotals {
+    /// How many times were measured.
+    pub fn count(&self) -> u64 {
+        self.0.iter().map(|bucket| bucket.answers).sum()
+    }
+
+    /// The sum of all times.
+    pub fn sum(&self) -> Duration {
+        self.0.iter().map(|bucket| bucket.sum).sum()
+    }
+
+    /// The mean time; none before the first.
+    pub fn mean(&self) -> Option<Duration> {
+        let seconds = self.sum().as_secs_f64() / self.count() as f64;
+        Duration::try_from_secs_f64(seconds).ok()
+    }
+
+    /// How many fell into each bucket of [`RESPONSE_BUCKETS`] alone (not cumulated); the last is
+    /// beyond all bounds.
+    pub fn coarse(&self) -> [u64; RESPONSE_BUCKETS.len() + 1] {
+        let mut coarse = [0; RESPONSE_BUCKETS.len() + 1];
+        for (upper, bucket) in self.buckets() {
+            let upper = upper.map_or(f64::INFINITY, |upper| upper.as_secs_f64());
+            coarse[RESPONSE_BUCKETS.partition_point(|&bound| bound < upper)] += bucket.answers;
+        }
+        coarse
+    }
+
+    /// Each bucket and its upper bound; the last has none.
+    pub fn buckets(&self) -> impl Iterator<Item = (Option<Duration>, BucketTotals)> {
+        let bounds = FINE_BOUNDS.map(|bound| Some(Duration::from_nanos(bound)));
+        bounds.into_iter().chain([None]).zip(self.0)
+    }
+
+    /// The time that this share of the answers took at most, 0 to 1; none before the first. It is the
+    /// mean of a bucket, so only two digits are true, and no others are given.
+    pub fn quantile(&self, share: f64) -> Option<Duration> {
+        let rank = share * self.count() as f64;
+        let mut below = 0;
+        let (upper, bucket) = self.buckets().find(|(_, bucket)| {
+            below += bucket.answers;
+            bucket.answers > 0 && below as f64 >= rank
+        })?;
+        let mean = bucket.sum.as_nanos() / u128::from(bucket.answers);
+        // A worker may be between an answer and its time just now.
+        let mean = u64::try_from(mean).unwrap_or(u64::MAX);
+        Some(two_digits(upper.map_or(mean, |upper| mean.min(upper.as_nanos() as u64))))
+    }
+}
+
+/// Nanoseconds, rounded to two significant digits.
+fn two_digits(nanos: u64) -> Duration {
+    let unit = 10_u64.pow(nanos.checked_ilog10().unwrap_or(0).saturating_sub(1));
+    Duration::from_nanos((nanos + unit / 2) / unit * unit)
+}
+
+/// What is counted for one server node, or for several together.
+#[derive(Clone, Debug, Default)]
+pub struct NodeTotals {
+    directions: [DirectionTotals; Direction::ALL.len()],
+    /// Response times.
+    pub response_times: ResponseTotals,
+    /// When the last response was forwarded, from the router's start; none: never.
+    pub last_response: Option<Duration>,
+    /// When the last request that wants an answer was accepted, likewise.
+    pub last_request: Option<Duration>,
+    /// When the first such request was accepted that no response followed; none: none waits.
+    unanswered_since: Option<Duration>,
+}
+
+/// Whether a server node is there, as far as its answers tell.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Presence {
+    /// It answered when it was asked last.
+    Answering,
+    /// It was asked, and has not answered anybody for [`SILENCE`](Self::SILENCE).
+    Silent,
+    /// Nobody has asked it for an answer since the start, or its first answer is still due: until
+    /// then nothing is known of it.
+    NeverAsked,
+}
+
+impl Presence {
+    /// How long a node may keep everybody waiting before it is called silent.
+    pub const SILENCE: Duration = Duration::from_secs(5);
+
+    /// Its name in the API.
+    pub fn label(self) -> &'static str {
+        match self {
+            Self::Answering => "answering",
+            Self::Silent => "silent",
+            Self::NeverAsked => "never_asked",
+        }
+    }
+}
+
+impl NodeTotals {
+    /// The sum over `workers` for the node behind a mapping.
+    pub fn of_node(workers: &[Arc<Counters>], mapping: MappingId) -> Self {
+        Self::sum(workers.iter().map(|worker| worker.node(mapping)))
+    }
+
+    /// The sum over `workers` for all nodes of a net.
+    pub fn of_net(workers: &[Arc<Counters>], table: &Table, net: NetId) -> Self {
+        Self::sum(
+            table
+                .mappings_of(net)
+                .flat_map(|mapping| workers.iter().map(move |worker| worker.node(mapping))),
+        )
+    }
+
+    /// The sum over `workers` for the datagrams on upstream sockets that come from no server of
+    /// the table.
+    pub fn of_strays(workers: &[Arc<Counters>]) -> Self {
+        Self::sum(workers.iter().map(|worker| &*worker.stray))
+    }
+
+    /// Datagrams of one direction.
+    pub fn direction(&self, direction: Direction) -> &DirectionTotals {
+        &self.directions[direction as usize]
+    }
+
+    /// Whether the node is there, at a time from the router's start.
+    pub fn presence(&self, now: Duration) -> Presence {
+        let waiting = self.waiting_since().map(|since| now.saturating_sub(since));
+        if waiting > Some(Presence::SILENCE) {
+            Presence::Silent
+        } else if self.last_request.and(self.last_response).is_some() {
+            Presence::Answering
+        } else {
+            Presence::NeverAsked
+        }
+    }
+
+    /// Since when everybody waits who asked the node for an answer, from the router's start; none:
+    /// nobody waits.
+    pub fn waiting_since(&self) -> Option<Duration> {
+        let since = self.unanswered_since.filter(|_| self.last_response < self.last_request)?;
+        // Another worker may have passed on a response since.
+        Some(since.max(self.last_response.unwrap_or_default()))
+    }
+
+    fn sum<'a>(nodes: impl Iterator<Item = &'a NodeCounters>) -> Self {
+        let mut totals = Self::default();
+        for node in nodes {
+            for (direction, sum) in Direction::ALL.into_iter().zip(&mut totals.directions) {
+                sum.add(node.direction(direction), direction.drop_reasons());
+            }
+            let times = &mut totals.response_times;
+            for (total, (answers, nanos)) in times.0.iter_mut().zip(node.response_times.buckets()) {
+                total.answers += answers;
+                total.sum += Duration::from_nanos(nanos);
+            }
+            totals.last_response = totals.last_response.max(moment(&node.last_response));
+            totals.last_request = totals.last_request.max(moment(&node.last_request));
+            let since = moment(&node.unanswered_since);
+            totals.unanswered_since = totals.unanswered_since.into_iter().chain(since).min();
+        }
+        totals
+    }
+}
+
+/// About how many addresses have sent wrong passwords to any net, up to [`SourceSketch::MOST`].
+pub fn wrong_password_sources(workers: &[Arc<Counters>], table: &Table) -> u32 {
+    let of_worker =
+        |worker| table.net_ids().map(move |net| &Counters::net(worker, net).wrong_password_sources);
+    SourceSketch::estimate(workers.iter().flat_map(|worker| of_worker(&**worker)))
+}
+
+/// A time from the router's start, of which 0 stands for never.
+fn moment(nanos: &Counter) -> Option<Duration> {
+    Some(nanos.get()).filter(|&nanos| nanos != 0).map(Duration::from_nanos)
+}
+
+/// What is counted for a net beside its nodes.
+#[derive(Clone, Debug)]
+pub struct NetTotals {
+    /// Flows open now.
+    pub flows: u64,
+    /// Flows opened so far.
+    pub flows_opened: u64,
+    flows_closed: [u64; CloseReason::ALL.len()],
+    /// Requests accepted, by the net's credentials in their order.
+    pub accepted: Vec<u64>,
+    /// About how many addresses have sent wrong passwords, up to [`SourceSketch::MOST`].
+    pub wrong_password_sources: u32,
+}
+
+impl NetTotals {
+    /// The sum over `workers` for a net.
+    pub fn of_net(workers: &[Arc<Counters>], table: &Table, net: NetId) -> Self {
+        let sum = |counter: &dyn Fn(&Counters) -> &Counter| {
+            workers.iter().map(|worker| counter(worker).get()).sum()
+        };
+        let credentials = 0..table.net(net).credentials.len();
+        Self {
+            flows: sum(&|worker| &worker.net(net).flows),
+            flows_opened: sum(&|worker| &worker.net(net).flows_opened),
+            flows_closed: CloseReason::ALL
+                .map(|reason| sum(&|worker| worker.net(net).flows_closed(reason))),
+            accepted: credentials.map(|i| sum(&|worker| &*worker.accepted(net)[i])).collect(),
+            wrong_password_sources: SourceSketch::estimate(
+                workers.iter().map(|worker| &worker.net(net).wrong_password_sources),
+            ),
+        }
+    }
+
+    /// Flows that ended for this reason.
+    pub fn flows_closed(&self, reason: CloseReason) -> u64 {
+        self.flows_closed[reason as usize]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SECOND: u64 = 1_000_000_000;
+
+    /// What two workers have noted: last request, last response, unanswered since; in seconds.
+    fn presence_at(now: u64, workers: [[u64; 3]; 2]) -> Presence {
+        let nodes = workers.map(|[request, response, since]| {
+            let node = NodeCounters::default();
+            node.last_request.set(request * SECOND);
+            node.last_response.set(response * SECOND);
+            node.unanswered_since.set(since * SECOND);
+            node
+        });
+        NodeTotals::sum(nodes.iter()).presence(Duration::from_secs(now))
+    }
+
+    #[test]
+    fn a_node_is_silent_when_it_keeps_everybody_waiting() {
+        use Presence::{Answering, NeverAsked, Silent};
+        const IDLE: [u64; 3] = [0; 3];
+        for (now, workers, expected) in [
+            (99, [IDLE, IDLE], NeverAsked),
+            (12, [[10, 0, 10], IDLE], NeverAsked), // it has some time for its first answer
+            (16, [[10, 0, 10], IDLE], Silent),
+            (99, [[10, 11, 0], IDLE], Answering),  // nobody asks
+            (99, [[98, 50, 98], IDLE], Answering), // asked again after a pause
+            (99, [[98, 50, 51], IDLE], Silent),
+            (99, [[10, 0, 10], [97, 98, 0]], Answering), // one request was lost
+            (99, [[98, 0, 10], [97, 97, 0]], Answering), // it answers others
+            (99, [[98, 0, 10], [90, 91, 0]], Silent),
+        ] {
+            assert_eq!(presence_at(now, workers), expected, "{now}: {workers:?}");
+        }
+    }
+
+    /// What is shown of nodes whose answers take so long, as median and 99 %.
+    fn quantiles(workers: &[&[(u64, u32)]]) -> [Option<Duration>; 2] {
+        let nodes = workers.iter().map(|times| {
+            let node = NodeCounters::default();
+            for &(micros, answers) in *times {
+                (0..answers)
+                    .for_each(|_| node.response_times.observe(Duration::from_micros(micros)));
+            }
+            node
+        });
+        let times = NodeTotals::sum(nodes.collect::<Vec<_>>().iter()).response_times;
+        [0.5, 0.99].map(|share| times.quantile(share))
+    }
+
+    #[test]
+    fn quantiles_are_true_to_their_two_digits() {
+        assert_eq!(quantiles(&[&[]]), [None; 2]);
+        for (micros, shown) in [
+            (3, 3),
+            (53, 53),
+            (5_240, 5_200),
+            (7_490, 7_500),
+            (9_960, 10_000),
+            (26_500, 27_000),
+            (199_000, 200_000),
+            (3_140_000, 3_100_000),
+            (62_000_000, 62_000_000),
+        ] {
+            let shown = [Some(Duration::from_micros(shown)); 2];
+            assert_eq!(quantiles(&[&[(micros, 7)]]), shown, "{micros} µs");
+            assert_eq!(quantiles(&[&[(micros, 3)], &[(micros, 90)]]), shown, "{micros} µs");
+        }
+        let [median, p99] = quantiles(&[&[(5_240, 60)], &[(26_500, 30), (820_000, 10)]]);
+        assert_eq!(median, Some(Duration::from_micros(5_200)));
+        assert_eq!(p99, Some(Duration::from_micros(820_000)));
+    }
+}

@@ -1,0 +1,3 @@
+//! P-NET on IP (IEC PAS 62412), without I/O.
+
+pub mod wire;
