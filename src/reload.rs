@@ -16,7 +16,7 @@ use tokio::time::timeout;
 use tracing::warn;
 
 use crate::config::{self, Changes, Config, Faults, Warning};
-use crate::datapath::{ReloadError, Router, chain};
+use crate::datapath::{Reloaded, Router, Stopping, chain};
 use crate::logging::list;
 use crate::service;
 use crate::thread::{self, ThreadError};
@@ -24,8 +24,36 @@ use crate::thread::{self, ThreadError};
 /// How long reading the files of a configuration may take.
 const READING_TIME: Duration = Duration::from_secs(30);
 
+/// What is told where the faults themselves stand beside it.
+const NOT_SOUND: &str = "the configuration is not sound";
+
+/// Faults that are kept for who asks how the last reload went.
+const MOST_FAULTS: usize = 100;
+
 /// How often sockets that could not be had are tried again.
 const RETRY_INTERVAL: Duration = Duration::from_secs(1);
+
+/// Why another configuration did not come into force.
+#[derive(Debug, thiserror::Error)]
+enum ReloadError {
+    /// It is not sound.
+    #[error(transparent)]
+    Faults(#[from] Faults),
+    /// Its files are not to be had.
+    #[error(
+        "reading the configuration takes longer than {} s; is a disk or a network share stuck? The \
+         configuration in force stays", .0.as_secs()
+    )]
+    TooSlow(Duration),
+    /// Nor are those of an earlier reload, which have to come first.
+    #[error(
+        "an earlier reload still reads its files; is a disk or a network share stuck? The \
+         configuration in force stays"
+    )]
+    StillReading,
+    #[error(transparent)]
+    Stopping(#[from] Stopping),
+}
 
 /// A router and the file that its configuration is in.
 #[derive(Clone, Debug)]
@@ -43,7 +71,7 @@ pub struct Reloader {
 enum Order {
     Read(oneshot::Sender<Read>),
     /// Bring it into force.
-    Apply(Box<Config>, oneshot::Sender<Result<Changes, ReloadError>>),
+    Apply(Box<Config>, oneshot::Sender<Result<Reloaded, Stopping>>),
 }
 
 /// What is read.
@@ -71,7 +99,7 @@ impl Reloader {
 
     /// Reads the file and the password files that it names, and brings them into force; or tells
     /// every fault, and the configuration in force stays. Goes on to its end even when nobody waits.
-    pub async fn reload(&self) -> Result<Changes, String> {
+    pub async fn reload(&self) -> Result<Reloaded, String> {
         let reloader = self.clone();
         let reload = tokio::spawn(async move {
             let thread = reloader.thread.lock().await;
@@ -79,7 +107,10 @@ impl Reloader {
             service::reloading();
             let outcome = match reloader.read(&thread).await {
                 Ok(config) => apply(&thread, config).await,
-                Err(error) => reloader.router.reload(Err(error)),
+                Err(error) => {
+                    refuse(&reloader.router, &error);
+                    Err(error)
+                }
             };
             log(&outcome);
             service::ready(&reloader.router);
@@ -96,7 +127,7 @@ impl Reloader {
         // A thread that is gone drops the reply.
         let _ = thread.send(Order::Read(reply));
         let read = match timeout(self.reading_time, &mut read).await {
-            Ok(read) => read.map_err(|_| ReloadError::Stopping)?,
+            Ok(read) => read.map_err(|_| Stopping)?,
             Err(_) => {
                 self.is_stuck.store(true, SeqCst);
                 read.close();
@@ -113,10 +144,10 @@ impl Reloader {
     }
 }
 
-async fn apply(thread: &mpsc::Sender<Order>, config: Config) -> Result<Changes, ReloadError> {
+async fn apply(thread: &mpsc::Sender<Order>, config: Config) -> Result<Reloaded, ReloadError> {
     let (reply, applied) = oneshot::channel();
     let _ = thread.send(Order::Apply(Box::new(config), reply));
-    applied.await.unwrap_or(Err(ReloadError::Stopping))
+    Ok(applied.await.unwrap_or(Err(Stopping))?)
 }
 
 /// What the thread does, until the process ends.
@@ -153,17 +184,29 @@ fn obey(
                 }
             }
             // What came of it is in force, whether or not somebody waits.
-            Order::Apply(config, reply) => _ = reply.send(router.reload(Ok(*config))),
+            Order::Apply(config, reply) => _ = reply.send(router.reload(*config)),
         }
     }
 }
 
-fn log(outcome: &Result<Changes, ReloadError>) {
+fn refuse(router: &Router, error: &ReloadError) {
+    match error {
+        ReloadError::Faults(Faults(faults)) => {
+            let more = faults.len().saturating_sub(MOST_FAULTS);
+            let more = (more > 0).then(|| format!("{more} more faults"));
+            let faults = faults.iter().take(MOST_FAULTS).map(ToString::to_string);
+            router.refuse_reload(NOT_SOUND.to_owned(), faults.chain(more).collect());
+        }
+        error => router.refuse_reload(chain(error), Vec::new()),
+    }
+}
+
+fn log(outcome: &Result<Reloaded, ReloadError>) {
     match outcome {
-        Ok(changes) => log_changes(changes),
+        Ok(reloaded) => log_reloaded(reloaded),
         Err(ReloadError::Faults(faults)) => {
             log_faults(faults);
-            tracing::error!(error = "the configuration is not sound", "reload failed");
+            tracing::error!(error = NOT_SOUND, "reload failed");
         }
         Err(error) => tracing::error!(error = chain(error), "reload failed"),
     }
@@ -183,7 +226,8 @@ pub(crate) fn log_faults(faults: &Faults) {
     }
 }
 
-fn log_changes(changes: &Changes) {
+fn log_reloaded(reloaded: &Reloaded) {
+    let Reloaded { changes, flows_closed, not_in_force } = reloaded;
     let Changes {
         settings_changed,
         nets_added,
@@ -195,8 +239,6 @@ fn log_changes(changes: &Changes) {
         credentials_added,
         credentials_withdrawn,
         credentials_changed,
-        flows_closed,
-        not_in_force,
     } = changes;
     for item in not_in_force {
         tracing::warn!(what = item.what, why = item.why, "not in force");

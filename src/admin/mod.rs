@@ -187,7 +187,7 @@ async fn reload(State(shared): State<Shared>) -> Response {
     };
     drop(in_force);
     match reloader.reload().await {
-        Ok(changes) if changes.not_in_force.is_empty() => Json(changes).into_response(),
+        Ok(reloaded) if reloaded.not_in_force.is_empty() => Json(reloaded).into_response(),
         Ok(changes) => (StatusCode::CONFLICT, Json(changes)).into_response(),
         Err(faults) => (StatusCode::UNPROCESSABLE_ENTITY, faults + "\n").into_response(),
     }

@@ -9,7 +9,7 @@ use super::Config;
 use crate::nat::{Credential, Mapping, Net, Table};
 use crate::pnet::wire::Password;
 
-/// The differences between two configurations, and what came of them.
+/// The differences between two configurations.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Changes {
     /// Sections and keys outside the nets.
@@ -32,10 +32,6 @@ pub struct Changes {
     pub credentials_withdrawn: Vec<String>,
     /// Likewise: those with another password, towards clients or servers.
     pub credentials_changed: Vec<String>,
-    /// Flows that had no place in the new configuration.
-    pub flows_closed: usize,
-    /// What the new configuration has and what is not in force all the same.
-    pub not_in_force: Vec<NotInForce>,
 }
 
 /// Something of a configuration that is not in force.
@@ -54,7 +50,7 @@ impl Display for NotInForce {
 }
 
 impl Changes {
-    /// What is different in `new`; no flow is closed yet.
+    /// What is different in `new`.
     pub fn between(old: &Config, new: &Config) -> Self {
         let nets = Difference::of(&nets(&old.table), &nets(&new.table), same_rules);
         let mappings = Difference::of(&mappings(&old.table), &mappings(&new.table), same_way);
@@ -75,8 +71,6 @@ impl Changes {
             credentials_added: named(credentials.added),
             credentials_withdrawn: named(credentials.removed),
             credentials_changed: named(credentials.changed),
-            flows_closed: 0,
-            not_in_force: Vec::new(),
         }
     }
 }
@@ -235,8 +229,6 @@ mod tests {
             credentials_added: vec!["section-1: team-c".into()],
             credentials_withdrawn: vec!["section-1: team-b".into()],
             credentials_changed: vec!["section-1: service".into()],
-            flows_closed: 0,
-            not_in_force: Vec::new(),
         };
         assert_eq!(Changes::between(&old, &new), expected);
     }

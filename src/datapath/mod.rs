@@ -6,12 +6,14 @@
 
 mod active_config;
 mod kernel_filter;
+mod last_reload;
 mod reload;
 mod router;
 mod socket;
 
 pub use active_config::ActiveConfig;
-pub use reload::{LastReload, ReloadError};
+pub use last_reload::LastReload;
+pub use reload::{Reloaded, Stopping};
 pub use router::{Bound, Router};
 pub use socket::descriptors::TooFewDescriptors;
 pub use socket::filtered::KernelDrops;

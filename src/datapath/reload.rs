@@ -9,14 +9,15 @@ use std::sync::mpsc;
 use std::sync::{Arc, PoisonError};
 use std::time::{Duration, Instant};
 
-use crate::config::{self, Changes, Config, Faults, NotInForce};
+use serde::Serialize;
+
+use crate::config::{self, Changes, Config, NotInForce};
 use crate::nat::{Counters, ListenerId, Net, Succession, Transition};
 
 use crate::datapath::active_config::ActiveConfig;
 use crate::datapath::router::{Handle, Router, addresses, lock};
 use crate::datapath::socket::descriptors;
 use crate::datapath::socket::filtered::NetDrops;
-use crate::datapath::socket::listen::chain;
 use crate::datapath::socket::public::Listeners;
 use crate::datapath::socket::setup::{self, Missing, Opened};
 use crate::datapath::socket::worker::{self, Command, WorkerReload};
@@ -25,110 +26,41 @@ use crate::datapath::socket::worker::{self, Command, WorkerReload};
 /// ones and take last answers. After that they are missing for a while.
 const LAST_ANSWERS: Duration = Duration::from_millis(500);
 
-/// Faults that are kept for who asks how the last reload went.
-const MOST_FAULTS: usize = 100;
+/// The workers are ending.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("the relay is stopping")]
+pub struct Stopping;
 
-/// Why another configuration did not come into force.
-#[derive(Debug, thiserror::Error)]
-pub enum ReloadError {
-    /// It is not sound.
-    #[error(transparent)]
-    Faults(#[from] Faults),
-    /// Its files are not to be had.
-    #[error(
-        "reading the configuration takes longer than {} s; is a disk or a network share stuck? The \
-         configuration in force stays", .0.as_secs()
-    )]
-    TooSlow(Duration),
-    /// Nor are those of an earlier reload, which have to come first.
-    #[error(
-        "an earlier reload still reads its files; is a disk or a network share stuck? The \
-         configuration in force stays"
-    )]
-    StillReading,
-    /// The workers are ending.
-    #[error("the relay is stopping")]
-    Stopping,
-}
-
-/// How the last reload went; at first, the start.
-#[derive(Clone, Debug)]
-pub struct LastReload {
-    /// Reloads that have begun since the start.
-    pub begun: u64,
-    /// Which of them the rest tells of; 0: the start.
-    pub number: u64,
-    /// Why it changed nothing.
-    pub error: Option<String>,
-    /// The faults of its configuration, one a line, as far as they are the reason.
-    pub faults: Vec<String>,
-    /// Settings of the configuration in force that need a restart.
-    settled: Vec<NotInForce>,
-    /// Its public sockets that are still to be had.
-    missing: Vec<NotInForce>,
-    /// When the configuration in force came into force.
-    pub success_at: Instant,
-}
-
-impl Default for LastReload {
-    fn default() -> Self {
-        Self {
-            begun: 0,
-            number: 0,
-            error: None,
-            faults: Vec::new(),
-            settled: Vec::new(),
-            missing: Vec::new(),
-            success_at: Instant::now(),
-        }
-    }
-}
-
-impl LastReload {
-    /// Whether all of the configuration that was last read is in force.
-    pub fn successful(&self) -> bool {
-        self.error.is_none() && self.settled.is_empty() && self.missing.is_empty()
-    }
-
-    /// What the last sound configuration has and what is not in force all the same.
-    pub fn not_in_force(&self) -> impl Iterator<Item = &NotInForce> {
-        self.settled.iter().chain(&self.missing)
-    }
-
-    fn refused(&mut self, error: &ReloadError) {
-        (self.error, self.faults) = match error {
-            ReloadError::Faults(Faults(faults)) => {
-                let more = faults.len().saturating_sub(MOST_FAULTS);
-                let faults = faults.iter().take(MOST_FAULTS).map(ToString::to_string);
-                let more = (more > 0).then(|| format!("{more} more faults"));
-                let error = "the configuration is not sound".to_owned();
-                (Some(error), faults.chain(more).collect())
-            }
-            error => (Some(chain(error)), Vec::new()),
-        };
-    }
+/// What came of another configuration.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct Reloaded {
+    /// How it differs from the one before.
+    #[serde(flatten)]
+    pub changes: Changes,
+    /// Flows that had no place in it.
+    pub flows_closed: usize,
+    /// What it has and what is not in force all the same.
+    pub not_in_force: Vec<NotInForce>,
 }
 
 impl Router {
-    /// Notes that a reload begins; [`reload`](Self::reload) ends it.
+    /// Notes that a reload begins; [`reload`](Self::reload) or [`refuse_reload`](Self::refuse_reload)
+    /// ends it.
     pub fn begin_reload(&self) {
         Arc::make_mut(&mut lock(&self.last_reload)).begun += 1;
     }
 
-    /// Brings a configuration into force that was just read, as far as it can be, or says why not;
-    /// then the one in force stays, whole. Blocks until every worker has gone over.
-    pub fn reload(&self, read: Result<Config, ReloadError>) -> Result<Changes, ReloadError> {
-        let outcome = read.and_then(|config| self.replace(config));
-        let mut last = lock(&self.last_reload);
-        let last = Arc::make_mut(&mut last);
-        last.number = last.begun;
-        match &outcome {
-            Ok(_) => {
-                (last.error, last.faults) = (None, Vec::new());
-                last.success_at = Instant::now();
-            }
-            Err(error) => last.refused(error),
-        }
+    /// Notes that the reload changed nothing: why, and the faults of its configuration, one a line.
+    pub fn refuse_reload(&self, error: String, faults: Vec<String>) {
+        Arc::make_mut(&mut lock(&self.last_reload)).ended(Some((error, faults)));
+    }
+
+    /// Brings a configuration into force, as far as that is possible. Blocks until every worker has
+    /// gone over.
+    pub fn reload(&self, config: Config) -> Result<Reloaded, Stopping> {
+        let outcome = self.replace(config);
+        let failed = outcome.as_ref().err().map(|error| (error.to_string(), Vec::new()));
+        Arc::make_mut(&mut lock(&self.last_reload)).ended(failed);
         outcome
     }
 
@@ -149,14 +81,14 @@ impl Router {
         }
     }
 
-    fn replace(&self, mut config: Config) -> Result<Changes, ReloadError> {
+    fn replace(&self, mut config: Config) -> Result<Reloaded, Stopping> {
         let _changing = self.changing.blocking_lock();
         if !self.is_ready() {
-            return Err(ReloadError::Stopping);
+            return Err(Stopping);
         }
         let old = self.in_force();
         let settled = config::keep_settled(&old.config, &mut config);
-        let mut changes = Changes::between(&old.config, &config);
+        let changes = Changes::between(&old.config, &config);
 
         let known = old.drops_by_name();
         let drops_of = |net: &Net| known.get(net.name.as_str()).copied().cloned();
@@ -165,7 +97,7 @@ impl Router {
         // No new upstream socket gets in the way of a new public one.
         self.ports.keep_out_of(&[&old.config, &config]);
         let Opened { listeners, mut missing } = self.open(&config, &drops, &old);
-        changes.flows_closed = self.go_over(&old, config, drops, listeners)?;
+        let flows_closed = self.go_over(&old, config, drops, listeners)?;
         drop(old);
         self.ports.keep_out_of(&[&self.in_force().config]);
         if !missing.is_empty() {
@@ -177,8 +109,8 @@ impl Router {
         let mut last = lock(&self.last_reload);
         let last = Arc::make_mut(&mut last);
         (last.settled, last.missing) = (settled, setup::told(&missing, &self.ports));
-        changes.not_in_force = last.not_in_force().cloned().collect();
-        Ok(changes)
+        let not_in_force = last.not_in_force().cloned().collect();
+        Ok(Reloaded { changes, flows_closed, not_in_force })
     }
 
     /// Has the workers close upstream sockets whose ports are wanted for public ones: each when its
@@ -198,7 +130,7 @@ impl Router {
     }
 
     /// Opens what is missing of the configuration in force, and tells what still is.
-    fn open_missing(&self) -> Result<Vec<Missing>, ReloadError> {
+    fn open_missing(&self) -> Result<Vec<Missing>, Stopping> {
         let now = self.in_force();
         let drops = now.drops().to_vec();
         let Opened { listeners, missing } = self.open(&now.config, &drops, &now);
@@ -242,7 +174,7 @@ impl Router {
         config: Config,
         drops: Vec<Arc<NetDrops>>,
         listeners: Vec<Listeners>,
-    ) -> Result<usize, ReloadError> {
+    ) -> Result<usize, Stopping> {
         let share = descriptors::share(addresses(&config), self.workers.len());
         let (was, is) = (&old.config.table, &config.table);
         let rules = old.rules.followed_by(Arc::clone(is), config.limits);
@@ -271,7 +203,7 @@ impl Router {
         let mut flows_closed = 0;
         for answer in answers {
             // None comes from a worker that has panicked: it takes the process along.
-            flows_closed += answer.recv().map_err(|_| ReloadError::Stopping)?;
+            flows_closed += answer.recv().map_err(|_| Stopping)?;
         }
         if config.runtime.receive_buffer != old.config.runtime.receive_buffer {
             resize_buffers(&config, &listeners);

@@ -19,7 +19,7 @@ use crate::nat::{Chance, Core, Counters, FlowRecord, Rules, Table};
 use crate::thread;
 
 use crate::datapath::active_config::ActiveConfig;
-use crate::datapath::reload::LastReload;
+use crate::datapath::last_reload::LastReload;
 use crate::datapath::socket::descriptors::{self, Plan, Share};
 use crate::datapath::socket::filtered::NetDrops;
 use crate::datapath::socket::listen;
@@ -299,6 +299,7 @@ mod tests {
 
     use super::*;
     use crate::config;
+    use crate::datapath::Reloaded;
 
     #[test]
     fn is_alive_as_long_as_every_worker_answers() {
@@ -311,11 +312,11 @@ mod tests {
         let runtime = tokio::runtime::Builder::new_current_thread().enable_time().build().unwrap();
         let is_alive = || runtime.block_on(router.is_alive(Duration::from_secs(20)));
         assert!(is_alive());
-        let changes = router.reload(Ok(read().unwrap().0)).unwrap();
-        assert_eq!(changes, config::Changes::default());
+        let changes = router.reload(read().unwrap().0).unwrap();
+        assert_eq!(changes, Reloaded::default());
         runtime.block_on(router.shut_down());
         assert!(!is_alive(), "they have ended");
-        let refused = router.reload(Ok(read().unwrap().0)).unwrap_err();
+        let refused = router.reload(read().unwrap().0).unwrap_err();
         assert_eq!(refused.to_string(), "the relay is stopping");
     }
 }

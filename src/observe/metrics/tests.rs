@@ -3,8 +3,8 @@
 use std::collections::BTreeMap;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
-use crate::config::fixture::{NODE_1, NODE_33, SECTION, config};
 use super::*;
+use crate::config::fixture::{NODE_1, NODE_33, SECTION, config};
 use crate::nat::{CloseReason, Direction, DropReason, RESPONSE_BUCKETS};
 use crate::sandbox::Sandbox;
 
