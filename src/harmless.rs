@@ -3,6 +3,7 @@
 
 use std::fmt::Write;
 
+#[cfg(feature = "cli")]
 use serde_json::Value;
 
 /// Whether a character does something to a terminal, or to how the others are read.
@@ -41,6 +42,7 @@ pub(crate) fn harmless_lines(text: &str) -> String {
 }
 
 /// The same of all names and texts in a value.
+#[cfg(feature = "cli")]
 pub(crate) fn harmless_value(value: Value) -> Value {
     match value {
         Value::String(text) => harmless(&text).into(),

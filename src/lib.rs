@@ -2,23 +2,50 @@
 //!
 //! A remote client reaches a server node of a plant at *public address : start port + node
 //! address*. This crate checks every datagram, passes it to the node's Secure UDP port, keeps the
-//! way back, and counts everything. The binary is a thin shell around these modules; reading
-//! order for newcomers: [`pnet::wire`], [`nat`], [`datapath`], then the rest.
+//! way back, and counts everything. Reading order for newcomers: [`pnet::wire`], `nat`, `datapath`,
+//! then the rest.
+//!
+//! | feature | what it adds |
+//! |---|---|
+//! | none | [`pnet`]: the protocol, without I/O and with few dependencies |
+//! | `relay` | the NAT, its sockets, its configuration, and what is told of it |
+//! | `peer` | a client and a server node on tokio's sockets |
+//! | `cli` | the program |
 
-pub mod admin;
-pub mod cli;
-pub mod config;
-pub mod datapath;
-mod harmless;
-pub mod logging;
-pub mod nat;
-pub mod observe;
-pub mod peer;
 pub mod pnet;
+
+#[cfg(any(feature = "relay", feature = "peer"))]
+pub mod listen;
+
+#[cfg(feature = "peer")]
+pub mod peer;
+
+#[cfg(feature = "relay")]
+pub mod admin;
+#[cfg(feature = "relay")]
+pub mod config;
+#[cfg(feature = "relay")]
+pub mod datapath;
+#[cfg(feature = "relay")]
+mod harmless;
+#[cfg(feature = "relay")]
+pub mod logging;
+#[cfg(feature = "relay")]
+pub mod nat;
+#[cfg(feature = "relay")]
+pub mod observe;
+#[cfg(feature = "relay")]
 pub mod reload;
+#[cfg(feature = "relay")]
 pub mod sandbox;
+#[cfg(feature = "relay")]
 pub mod service;
+#[cfg(feature = "relay")]
 pub mod thread;
 
+#[cfg(feature = "cli")]
+pub mod cli;
+
 /// The commit that this is built from; empty where that is not known.
+#[cfg(feature = "relay")]
 const COMMIT: &str = env!("PNET_NAT_COMMIT");

@@ -16,7 +16,8 @@ use tokio::time::timeout;
 use tracing::warn;
 
 use crate::config::{self, Changes, Config, Faults, Warning};
-use crate::datapath::{Reloaded, Router, Stopping, chain};
+use crate::datapath::{Reloaded, Router, Stopping};
+use crate::listen::chain;
 use crate::logging::list;
 use crate::service;
 use crate::thread::{self, ThreadError};

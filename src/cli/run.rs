@@ -19,7 +19,8 @@ use super::signals::{Signals, let_hangup_through};
 use super::{BAD_USE, TRY_AGAIN, complain, load, told};
 use crate::admin;
 use crate::config::{self, Admin, Config, Warning};
-use crate::datapath::{self, Bound, ListenError, Router, StartError};
+use crate::datapath::{Bound, Router, StartError};
+use crate::listen::{self, ListenError};
 use crate::logging;
 use crate::observe::DropReport;
 use crate::reload::Reloader;
@@ -120,7 +121,7 @@ fn may_pass(error: &anyhow::Error) -> bool {
         let start = cause.downcast_ref::<StartError>().map(StartError::may_pass);
         let listen = || cause.downcast_ref::<ListenError>().map(ListenError::may_pass);
         let thread = || cause.is::<ThreadError>().then_some(true);
-        let system = || cause.downcast_ref::<io::Error>().map(datapath::may_pass);
+        let system = || cause.downcast_ref::<io::Error>().map(listen::may_pass);
         start.or_else(listen).or_else(thread).or_else(system).unwrap_or(false)
     })
 }
@@ -150,7 +151,7 @@ fn passes_soon(error: &anyhow::Error) -> bool {
 }
 
 fn try_to_bind(config: Config) -> anyhow::Result<(Bound, Option<StdListener>)> {
-    let listen = |admin: &Admin| datapath::tcp(admin.listen, "[admin] listen");
+    let listen = |admin: &Admin| listen::tcp(admin.listen, "[admin] listen");
     let admin = config.admin.as_ref().map(listen).transpose();
     let admin = admin.context("the admin server cannot start; see [admin] listen")?;
     Ok((Router::bind(config)?, admin))

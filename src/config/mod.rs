@@ -52,6 +52,7 @@ pub use model::{Admin, Config, NotAPrefilter, Prefilter, Runtime};
 pub use node_range::{NodeRange, NotANodeRange};
 pub use report::{Fault, Faults, Warning};
 pub use restart::keep_settled;
+#[cfg(feature = "cli")]
 pub(crate) use secret::read_password;
 pub use token::{NotAToken, Token};
 

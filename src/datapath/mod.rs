@@ -1,10 +1,11 @@
 //! The datapath: what carries datagrams between sockets and the [NAT](crate::nat).
 //!
-//! [`router`] is the control plane: it starts workers, gives them another configuration and tells how
-//! they are. [`socket`] is a datapath of UDP sockets, with the only unsafe code of the program in
-//! [`socket::sys`]. [`kernel_filter`] makes the small programs that the kernel runs on those sockets.
+//! `router` is the control plane: it starts workers, gives them another configuration and tells how
+//! they are. `socket` is a datapath of UDP sockets, with the only unsafe code of the program in
+//! `socket::sys`. `kernel_filter` makes the small programs that the kernel runs on those sockets.
 
 mod active_config;
+mod commands;
 mod kernel_filter;
 mod last_reload;
 mod reload;
@@ -17,6 +18,4 @@ pub use reload::{Reloaded, Stopping};
 pub use router::{Bound, Router};
 pub use socket::descriptors::TooFewDescriptors;
 pub use socket::filtered::KernelDrops;
-pub(crate) use socket::listen::chain;
-pub use socket::listen::{ListenError, may_pass, tcp, udp};
 pub use socket::setup::StartError;

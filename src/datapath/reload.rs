@@ -15,12 +15,13 @@ use crate::config::{self, Changes, Config, NotInForce};
 use crate::nat::{Counters, ListenerId, Net, Succession, Transition};
 
 use crate::datapath::active_config::ActiveConfig;
-use crate::datapath::router::{Handle, Router, addresses, lock};
+use crate::datapath::commands::{Command, WorkerReload};
+use crate::datapath::router::{Router, addresses, lock};
 use crate::datapath::socket::descriptors;
 use crate::datapath::socket::filtered::NetDrops;
+use crate::datapath::socket::handle::Handle;
 use crate::datapath::socket::public::Listeners;
 use crate::datapath::socket::setup::{self, Missing, Opened};
-use crate::datapath::socket::worker::{self, Command, WorkerReload};
 
 /// How long a reload waits for the relay's own upstream sockets, where they are in the way of public
 /// ones and take last answers. After that they are missing for a while.
@@ -156,8 +157,7 @@ impl Router {
         for id in new_ones(&opened.listeners, &before) {
             let each = self.workers.iter().zip(&opened.listeners);
             let mut watched = each.filter_map(|(worker, all)| Some((worker, all.get(id)?)));
-            let watched =
-                watched.try_for_each(|(worker, new)| worker::watch(&worker.epoll, id, new));
+            let watched = watched.try_for_each(|(worker, new)| worker.watch(id, new));
             let Err(why) = watched else { continue };
             let address = opened.listeners.first().and_then(|all| Some(all.get(id)?.address));
             opened.missing.extend(address.map(|address| Missing { address, why }));

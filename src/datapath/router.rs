@@ -3,14 +3,10 @@
 //!
 //! Every socket is bound before the first worker runs, so a router starts whole or not at all.
 
-use std::io;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{self, Sender};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock};
 use std::time::{Duration, Instant};
 
-use nix::sys::epoll::{Epoll, EpollCreateFlags};
-use nix::sys::eventfd::{EfdFlags, EventFd};
 use tokio::sync::oneshot;
 use tokio::time::timeout;
 
@@ -19,15 +15,16 @@ use crate::nat::{Chance, Core, Counters, FlowRecord, Rules, Table};
 use crate::thread;
 
 use crate::datapath::active_config::ActiveConfig;
+use crate::datapath::commands::Command;
 use crate::datapath::last_reload::LastReload;
-use crate::datapath::socket::descriptors::{self, Plan, Share};
+use crate::datapath::socket::descriptors::{self, Share};
 use crate::datapath::socket::filtered::NetDrops;
-use crate::datapath::socket::listen;
+use crate::datapath::socket::handle::Handle;
 use crate::datapath::socket::port_pool::Ports;
-use crate::datapath::socket::public::Listeners;
 use crate::datapath::socket::setup::{self, Missing, Opened, StartError};
 use crate::datapath::socket::upstream::Shared;
-use crate::datapath::socket::worker::{self, Command, Worker, WorkerSetup};
+use crate::datapath::socket::worker::Worker;
+use crate::listen;
 use crate::observe::audit::Audit;
 
 /// How long a worker may take to tell its flows.
@@ -48,14 +45,6 @@ pub struct Router {
     ends: Mutex<Vec<oneshot::Receiver<()>>>,
     ready: AtomicBool,
     started: Instant,
-}
-
-/// The way to a worker.
-#[derive(Debug)]
-pub(in crate::datapath) struct Handle {
-    commands: Sender<Command>,
-    wake: Arc<EventFd>,
-    pub(in crate::datapath) epoll: Arc<Epoll>,
 }
 
 /// A router with all of its sockets and none of its threads.
@@ -119,7 +108,7 @@ impl Router {
             let core =
                 Core::new(rules.clone(), Arc::clone(&counter), started, Chance::of_the_system());
             let (handle, worker) =
-                build_worker(&config, core, listeners.clone(), &plan, started, &shared)?;
+                Handle::build(&config, core, listeners.clone(), plan.upstreams, started, &shared)?;
             handles.push(handle);
             counters.push(counter);
             workers.push(worker);
@@ -240,47 +229,6 @@ impl Router {
         let _ = timeout(time, gather).await;
         (all.len() == self.workers.len()).then_some(all)
     }
-}
-
-impl Handle {
-    pub(in crate::datapath) fn ask(&self, command: Command) {
-        // A worker that has ended answers nothing; its channel is closed.
-        if self.commands.send(command).is_ok() {
-            let _ = self.wake.write(1);
-        }
-    }
-}
-
-/// A worker and the way to it.
-fn build_worker(
-    config: &Config,
-    core: Core,
-    listeners: Listeners,
-    plan: &Plan,
-    started: Instant,
-    shared: &Shared,
-) -> Result<(Handle, Worker), StartError> {
-    let epoll = Arc::new(Epoll::new(EpollCreateFlags::EPOLL_CLOEXEC).map_err(io::Error::from)?);
-    for (id, listener) in listeners.iter() {
-        worker::watch(&epoll, id, listener)?;
-    }
-    let flags = EfdFlags::EFD_NONBLOCK | EfdFlags::EFD_CLOEXEC;
-    let wake = Arc::new(EventFd::from_flags(flags).map_err(io::Error::from)?);
-    let (commands, inbox) = mpsc::channel();
-    let handle = Handle { commands, wake: Arc::clone(&wake), epoll: Arc::clone(&epoll) };
-    let worker = Worker::new(WorkerSetup {
-        core,
-        listeners,
-        table: Arc::clone(&config.table),
-        shared: shared.clone(),
-        upstream_limit: plan.upstreams,
-        runtime: config.runtime.clone(),
-        started,
-        commands: inbox,
-        epoll,
-        wake,
-    })?;
-    Ok((handle, worker))
 }
 
 /// Sockets that each worker needs for its public ports.

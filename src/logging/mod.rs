@@ -1,8 +1,7 @@
-//! The log: events to stderr, one a line, and the report that stands for noise.
+//! The log: events to stderr, one a line.
 //!
-//! A datagram never makes a line of its own. What strangers send is counted, and [`DropReport`] says now
-//! and then how much it was, and how much the audit log left out. Whatever becomes of stderr, the
-//! relay goes on: lines wait for it and are lost at last, and [`lines_lost`] counts them.
+//! Whatever becomes of stderr, the relay goes on: lines wait for it and are lost at last, and
+//! [`lines_lost`] counts them.
 
 mod json;
 mod queue;
@@ -32,7 +31,8 @@ use queue::{LOG, Line, Pen};
 const LAST_LINES: Duration = Duration::from_secs(2);
 
 /// How events are written.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 pub enum LogFormat {
     /// Text on a terminal, else JSON.
     #[default]
@@ -44,7 +44,8 @@ pub enum LogFormat {
 }
 
 /// What is written.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 pub enum LogLevel {
     /// What failed.
     Error,

@@ -14,7 +14,7 @@ use std::time::Duration;
 use arrayvec::ArrayVec;
 use tokio::net::UdpSocket;
 
-use crate::datapath::{self, ListenError};
+use crate::listen::{self, ListenError};
 use crate::pnet::wire::{
     Datagram, DatagramRepr, DlRoute, DlRouteError, Header, Indication, MAX_DATA, MAX_DATAGRAM,
     NCNA, Password, RouteBuf,
@@ -193,7 +193,7 @@ impl NodeSettings {
 }
 
 fn bind(address: Ipv4Addr, port: &mut u16) -> Result<UdpSocket, ListenError> {
-    let socket = datapath::udp((address, *port).into(), "--listen")?;
+    let socket = listen::udp((address, *port).into(), "--listen")?;
     if let Ok(address) = socket.local_addr() {
         *port = address.port();
     }

@@ -22,7 +22,8 @@ use tokio::sync::oneshot;
 
 use super::signals::Signals;
 use crate::admin;
-use crate::datapath::{self, Router};
+use crate::datapath::Router;
+use crate::listen;
 use crate::logging;
 use crate::sandbox::Sandbox;
 
@@ -57,7 +58,7 @@ pub(super) fn run(args: Args) -> anyhow::Result<ExitCode> {
 
 async fn demo(args: Args) -> anyhow::Result<ExitCode> {
     let plant = Plant::build().await?;
-    let listen = |port| datapath::tcp((Ipv4Addr::LOCALHOST, port).into(), "the demo's address");
+    let listen = |port| listen::tcp((Ipv4Addr::LOCALHOST, port).into(), "the demo's address");
     let admin = TcpListener::from_std(listen(ADMIN_PORT).or_else(|_| listen(0))?)?;
     let admin_address = admin.local_addr()?;
     let router = Router::start(plant.config(admin_address)).context("the relay does not start")?;

@@ -12,7 +12,7 @@ use arrayvec::ArrayVec;
 use tokio::task::JoinSet;
 
 use crate::config::{Admin, Config, Runtime};
-use crate::datapath::ListenError;
+use crate::listen::ListenError;
 use crate::nat::{Credential, Limits, Mapping, Net, NetId, NetKind, Table};
 use crate::peer::{NodeCounts, NodeSettings, ServerNode, Target};
 use crate::pnet::wire::{Header, MAX_DATA, Password};

@@ -106,20 +106,20 @@ impl FloodGuard {
         self.filtered == 0 && self.rounds_due == 0
     }
 
-    /// Whether a round is under way, which [`look`](Self::look) goes on with.
+    /// Whether a round is under way, which [`end_quiet_floods`](Self::end_quiet_floods) goes on with.
     #[inline]
     pub(in crate::datapath) fn is_looking(&self) -> bool {
         self.next.is_some()
     }
 
-    /// Notes datagrams that the prefilter would have spared the worker, and turns it on where they
+    /// Notes datagrams that the prefilter would have refused the worker, and turns it on where they
     /// are a flood.
     pub(in crate::datapath) fn note(
         &mut self,
         id: ListenerId,
         public: &Listener,
         now: Instant,
-        spared: usize,
+        refused: usize,
     ) {
         self.rounds_due = ROUNDS;
         if !self.automatic || public.socket.is_filtered() {
@@ -127,9 +127,9 @@ impl FloodGuard {
         }
         let since_start = now.saturating_duration_since(self.started);
         let net = &mut self.nets[usize::from(public.net.0)];
-        let by = if net.watch.flooded(since_start, spared, FloodWatch::FLOOD) {
+        let by = if net.watch.flooded(since_start, refused, FloodWatch::FLOOD) {
             Whose::Net
-        } else if self.worker.watch.flooded(since_start, spared, FloodWatch::FLOOD_OF_WORKER) {
+        } else if self.worker.watch.flooded(since_start, refused, FloodWatch::FLOOD_OF_WORKER) {
             Whose::Worker
         } else {
             return;
@@ -170,7 +170,7 @@ impl FloodGuard {
 
     /// Looks at some sockets of a round: accounts for what the kernel dropped there, and turns the
     /// prefilter off where the flood is over.
-    pub(in crate::datapath) fn look(&mut self, listeners: &Listeners) {
+    pub(in crate::datapath) fn end_quiet_floods(&mut self, listeners: &Listeners) {
         let Some(first) = self.next else { return };
         let end = self.sockets.len().min(first + LOOKS_AT_ONCE);
         for place in first..end {
@@ -291,8 +291,8 @@ impl FloodGuard {
 pub(in crate::datapath) struct FloodWatch {
     /// Which tenth of a second it is, since the router's start.
     window: u64,
-    /// Datagrams in this window that a filter would have spared the worker.
-    spared: usize,
+    /// Datagrams in this window that a filter would have refused the worker.
+    refused: usize,
     /// The kernel's figure at the last look.
     dropped: u32,
     quiet_looks: u32,
@@ -308,19 +308,19 @@ impl FloodWatch {
     /// and so many quiet looks are peace. A worker looks about once a second.
     const QUIET_LOOKS: u32 = 10;
 
-    /// Notes `spared` more datagrams, and tells whether a flood has begun.
+    /// Notes `refused` more datagrams, and tells whether a flood has begun.
     pub(in crate::datapath) fn flooded(
         &mut self,
         since_start: Duration,
-        spared: usize,
+        refused: usize,
         flood: usize,
     ) -> bool {
         let window = since_start.as_millis() as u64 / 100;
         if window != self.window {
-            (self.window, self.spared) = (window, 0);
+            (self.window, self.refused) = (window, 0);
         }
-        self.spared += spared;
-        self.spared >= flood
+        self.refused += refused;
+        self.refused >= flood
     }
 
     /// Takes the kernel's figure, and tells whether the flood is over.
@@ -329,7 +329,7 @@ impl FloodWatch {
         self.quiet_looks = if new < Self::QUIET { self.quiet_looks + 1 } else { 0 };
         let over = self.quiet_looks >= Self::QUIET_LOOKS;
         if over {
-            (self.quiet_looks, self.spared) = (0, 0);
+            (self.quiet_looks, self.refused) = (0, 0);
         }
         over
     }

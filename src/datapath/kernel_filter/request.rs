@@ -50,9 +50,9 @@ pub(in crate::datapath) fn is_same(one: (&Table, NetId), other: (&Table, NetId))
         && net.credentials.iter().zip(&other_net.credentials).all(same)
 }
 
-/// Whether the prefilter spares the worker most of the datagrams that are dropped for this reason.
+/// Whether the prefilter is_refused_by_filter the worker most of the datagrams that are dropped for this reason.
 /// Whoever may not send, or is throttled, hardly ever has a password.
-pub(in crate::datapath) fn spares(reason: DropReason) -> bool {
+pub(in crate::datapath) fn is_refused_by_filter(reason: DropReason) -> bool {
     match reason {
         DropReason::NotUnicast
         | DropReason::TooShort

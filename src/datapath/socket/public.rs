@@ -12,6 +12,7 @@ use crate::nat::{ListenerId, MappingId, NetId, Table};
 
 use crate::datapath::kernel_filter::request;
 use crate::datapath::socket::filtered::{FilteredSocket, NetDrops};
+use crate::datapath::socket::sys::batch::Destination;
 
 /// A public socket of one worker, and what it stands for in the NAT table in force.
 #[derive(Clone, Debug)]
@@ -33,6 +34,14 @@ impl Listener {
     /// The configured address; none when the socket serves all of the host's.
     pub(in crate::datapath) fn own_address(&self) -> Option<IpAddr> {
         Some(self.address.ip()).filter(|address| !address.is_unspecified())
+    }
+
+    /// How a datagram's destination is known.
+    pub(in crate::datapath) fn destination(&self) -> Destination {
+        match self.own_address() {
+            Some(_) => Destination::Bound,
+            None => Destination::FromControl,
+        }
     }
 
     /// Turns the prefilter on, with the program for the net as `table` has it, or off.

@@ -14,10 +14,10 @@ use crate::thread::ThreadError;
 
 use crate::datapath::socket::descriptors::{Share, TooFewDescriptors};
 use crate::datapath::socket::filtered::{FilteredSocket, NetDrops};
-use crate::datapath::socket::listen::{self, CallError, ListenError, chain};
 use crate::datapath::socket::port_pool::Ports;
 use crate::datapath::socket::public::{Listener, Listeners};
 use crate::datapath::socket::sys::options;
+use crate::listen::{self, CallError, ListenError, chain};
 
 /// Why a router does not start.
 #[derive(Debug, thiserror::Error)]

@@ -1,6 +1,6 @@
 //! One worker: its public sockets, its upstream sockets, its core.
 //!
-//! A wake-up takes what is ready, at most one helping a socket, lets the core judge it, and sends
+//! A wake-up takes what is ready, at most its quota of each socket, lets the core judge it, and sends
 //! what may pass. A socket that has more waits for its next turn, so a flood on one port does not
 //! starve the others, nor the responses.
 
@@ -13,21 +13,18 @@ use std::time::{Duration, Instant};
 
 use nix::sys::epoll::{Epoll, EpollEvent, EpollTimeout};
 use nix::sys::eventfd::EventFd;
-use tokio::sync::mpsc::Sender;
 
 use crate::config::Runtime;
-use crate::nat::{
-    Arrival, Core, Direction, DropReason, FlowRecord, ListenerId, Succession, Table, UpstreamId,
-};
+use crate::nat::{Arrival, Core, Direction, DropReason, ListenerId, Table, UpstreamId};
 
+use crate::datapath::commands::{Command, WorkerReload};
 use crate::datapath::kernel_filter::flood::FloodGuard;
 use crate::datapath::kernel_filter::request;
 use crate::datapath::socket::busy_poll::BusyPoll;
 use crate::datapath::socket::event_key::EventKey;
 use crate::datapath::socket::public::{Listener, Listeners};
 use crate::datapath::socket::receive_quota::ReceiveQuota;
-use crate::datapath::socket::setup::StartError;
-use crate::datapath::socket::sys::batch::{Batch, Tag};
+use crate::datapath::socket::sys::batch::{Batch, Destination, Tag};
 use crate::datapath::socket::sys::epoll_wait::wait;
 use crate::datapath::socket::ticker::Ticker;
 use crate::datapath::socket::upstream::{Shared, UpstreamSockets};
@@ -37,30 +34,6 @@ use crate::observe::warnings::RateLimitedWarnings;
 const DRAIN_TICK: Duration = Duration::from_millis(20);
 /// Ready sockets taken from the kernel at once.
 const EVENTS: usize = 256;
-
-/// What a worker is asked to do.
-pub(in crate::datapath) enum Command {
-    /// Say that you are alive.
-    Ping(Sender<()>),
-    /// Send up to so many flows, and the table that they belong to.
-    Flows(usize, Sender<(Arc<Table>, Vec<FlowRecord>)>),
-    /// Go over to another configuration, and tell how many flows were closed by it when all have
-    /// gone over.
-    Reload(Box<WorkerReload>, SyncSender<usize>),
-    /// Close upstream sockets whose ports are wanted for something else, each as soon as its last
-    /// answers are in, and tell when there is none left.
-    CloseLeft(SyncSender<()>),
-    /// Take no more requests, wait for answers until then at the latest, and end.
-    Drain(Instant),
-}
-
-/// What a worker needs of another configuration.
-pub(in crate::datapath) struct WorkerReload {
-    pub succession: Succession,
-    pub listeners: Listeners,
-    pub upstream_limit: usize,
-    pub runtime: Runtime,
-}
 
 /// Everything one worker thread owns.
 pub(in crate::datapath) struct Worker {
@@ -98,16 +71,6 @@ pub(in crate::datapath) struct WorkerSetup {
     pub commands: Receiver<Command>,
     pub epoll: Arc<Epoll>,
     pub wake: Arc<EventFd>,
-}
-
-/// Has `epoll` tell of what arrives at a public socket.
-pub(in crate::datapath) fn watch(
-    epoll: &Epoll,
-    id: ListenerId,
-    listener: &Listener,
-) -> Result<(), StartError> {
-    let watched = epoll.add(&listener.socket, EventKey::Public(id).arrivals());
-    watched.map_err(|error| StartError::Watch(error.into()))
 }
 
 impl Worker {
@@ -161,7 +124,7 @@ impl Worker {
             self.quota.next_turn();
             self.floods.next_turn();
             for event in &events[..ready] {
-                self.take(EventKey::from_key(event.data()), now);
+                self.handle_event(EventKey::from_key(event.data()), now);
             }
             self.flush(now);
             self.tidy(now);
@@ -185,31 +148,30 @@ impl Worker {
         EpollTimeout::try_from(wait).unwrap_or(EpollTimeout::ZERO)
     }
 
-    fn take(&mut self, place: EventKey, now: Instant) {
+    fn handle_event(&mut self, key: EventKey, now: Instant) {
         self.make_room(now);
-        let received = match place {
+        let received = match key {
             EventKey::Public(_) if self.drain_until.is_some() => return,
-            EventKey::Public(id) => self.take_requests(id, now),
-            EventKey::Upstream(id) => self.take_responses(id, now),
-            EventKey::Wake => return self.obey(now),
+            EventKey::Public(id) => self.relay_requests(id, now),
+            EventKey::Upstream(id) => self.relay_responses(id, now),
+            EventKey::Wake => return self.handle_commands(now),
             EventKey::Tick => return self.tick(),
         };
         self.batch.keep(received);
-        self.quota.note(place, received);
+        self.quota.note(key, received);
     }
 
-    fn take_requests(&mut self, id: ListenerId, now: Instant) -> usize {
+    fn relay_requests(&mut self, id: ListenerId, now: Instant) -> usize {
         // Its socket may be closed, or not have its place yet.
         let Some(listener) = self.listeners.get(id) else { return 0 };
         let most = self.quota.most(EventKey::Public(id));
-        let received =
-            self.batch.receive(listener.socket.as_fd(), most, listener.own_address().is_none());
+        let received = self.batch.receive(listener.socket.as_fd(), most, listener.destination());
         let received = received.unwrap_or_else(|error| {
             let what = "cannot receive on a public socket";
             self.warnings.note_of(listener.net, self.core.table(), &error, what);
             0
         });
-        let mut spared = 0;
+        let mut refused = 0;
         for index in 0..received {
             let Some(incoming) = self.batch.incoming(index) else { continue };
             let arrival = Arrival {
@@ -227,22 +189,23 @@ impl Worker {
                     let tag = Tag { mapping, direction, octets, asks: to.asks };
                     self.batch.queue(slot, EventKey::Upstream(to.via).key(), None, to.server, tag);
                 }
-                Err(reason) => spared += usize::from(request::spares(reason)),
+                Err(reason) => refused += usize::from(request::is_refused_by_filter(reason)),
             }
         }
-        if spared > 0 {
-            self.floods.note(id, listener, now, spared);
+        if refused > 0 {
+            self.floods.note(id, listener, now, refused);
         }
         received
     }
 
-    fn take_responses(&mut self, id: UpstreamId, now: Instant) -> usize {
+    fn relay_responses(&mut self, id: UpstreamId, now: Instant) -> usize {
         let Some(socket) = self.upstream.get(id) else { return 0 };
         let most = self.quota.most(EventKey::Upstream(id));
-        let received = self.batch.receive(socket, most, false).unwrap_or_else(|error| {
-            self.warnings.note(&error, "cannot receive from the servers");
-            0
-        });
+        let received =
+            self.batch.receive(socket, most, Destination::Bound).unwrap_or_else(|error| {
+                self.warnings.note(&error, "cannot receive from the servers");
+                0
+            });
         let mut strays = 0;
         for index in 0..received {
             let Some(incoming) = self.batch.incoming(index) else { continue };
@@ -303,7 +266,7 @@ impl Worker {
     #[inline]
     fn tidy(&mut self, now: Instant) {
         if self.floods.is_looking() {
-            self.floods.look(&self.listeners);
+            self.floods.end_quiet_floods(&self.listeners);
         }
         if self.expiring {
             self.expiring = self.core.expire(now, &mut self.upstream);
@@ -333,7 +296,7 @@ impl Worker {
     }
 
     #[cold]
-    fn obey(&mut self, now: Instant) {
+    fn handle_commands(&mut self, now: Instant) {
         // Only now is the flag down: what is asked from here on wakes us again.
         let _ = self.wake.read();
         while let Ok(command) = self.commands.try_recv() {

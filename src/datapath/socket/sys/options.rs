@@ -15,8 +15,8 @@ use nix::sys::socket::{setsockopt, sockopt};
 use socket2::{Domain, Protocol, Socket, Type};
 
 use crate::datapath::kernel_filter::reuseport;
-use crate::datapath::socket::listen::CallError;
 use crate::datapath::socket::port_pool::{Port, Ports};
+use crate::listen::CallError;
 
 /// Octets of send buffer to ask the kernel for, for each upstream socket; `sysctl
 /// net.core.wmem_max` bounds it. Requests to a node that is switched off fill up to 208 KiB of it,

@@ -239,7 +239,7 @@ fn many_are_received_at_once() {
     let v6 = || datagram("[2001:db8::7]:1", "2001:db8::1", &[]);
     let mut batch =
         batch([v4(), v6(), datagram("198.51.100.7:1", "198.51.100.1", &[7; 300]), v4()]);
-    assert_eq!(batch.receive(socket(), 3, true).unwrap(), 3);
+    assert_eq!(batch.receive(socket(), 3, Destination::FromControl).unwrap(), 3);
     let first = came("198.51.100.7:1", Some("198.51.100.1"), &[4; 38]);
     let expected = [
         first.clone(),
@@ -248,9 +248,9 @@ fn many_are_received_at_once() {
     ];
     assert_eq!(told(&mut batch, 3), expected);
     batch.keep(3);
-    assert_eq!(batch.receive(socket(), AT_ONCE, true).unwrap(), 1);
+    assert_eq!(batch.receive(socket(), AT_ONCE, Destination::FromControl).unwrap(), 1);
     assert_eq!(told(&mut batch, 1), [first]);
-    assert_eq!(batch.receive(socket(), AT_ONCE, true).unwrap(), 0);
+    assert_eq!(batch.receive(socket(), AT_ONCE, Destination::FromControl).unwrap(), 0);
 }
 
 #[test]
@@ -258,13 +258,13 @@ fn one_is_received_like_many() {
     let v6 = || datagram("[2001:db8::7]:1", "2001:db8::1", &[6; 38]);
     let mut batch = batch([v6(), Arrival::Error(Errno::EINTR), v6()]);
     for tells in [false, true] {
-        assert_eq!(batch.receive(socket(), 1, tells).unwrap(), 1);
+        assert_eq!(batch.receive(socket(), 1, destination(tells)).unwrap(), 1);
         let to = tells.then_some("2001:db8::1");
         assert_eq!(told(&mut batch, 1), [came("[2001:db8::7]:1", to, &[6; 38])]);
         batch.keep(1);
     }
     for tells in [false, true] {
-        assert_eq!(batch.receive(socket(), 1, tells).unwrap(), 0);
+        assert_eq!(batch.receive(socket(), 1, destination(tells)).unwrap(), 0);
     }
 }
 
@@ -280,8 +280,8 @@ fn what_the_kernel_cut_short_tells_nothing() {
     };
     for len in [0, 1, control.len() - 9] {
         let mut batch = batch([with(&name, &control), with(&name, &control[..len])]);
-        assert_eq!(batch.receive(socket(), 1, true).unwrap(), 1);
-        assert_eq!(batch.receive(socket(), 1, true).unwrap(), 1);
+        assert_eq!(batch.receive(socket(), 1, Destination::FromControl).unwrap(), 1);
+        assert_eq!(batch.receive(socket(), 1, Destination::FromControl).unwrap(), 1);
         let unknown = came("[2001:db8::7]:1", None, &octets);
         assert_eq!(told(&mut batch, 1), [unknown], "{len} octets of control messages");
     }
@@ -291,8 +291,8 @@ fn what_the_kernel_cut_short_tells_nothing() {
     {
         for tells in [false, true] {
             let mut batch = batch([with(&name, &control), with(name_now, &control)]);
-            assert_eq!(batch.receive(socket(), 1, tells).unwrap(), 1);
-            assert_eq!(batch.receive(socket(), 1, tells).unwrap(), 1);
+            assert_eq!(batch.receive(socket(), 1, destination(tells)).unwrap(), 1);
+            assert_eq!(batch.receive(socket(), 1, destination(tells)).unwrap(), 1);
             assert_eq!(told(&mut batch, 1), [None], "{name_now:?}");
         }
     }
@@ -303,10 +303,10 @@ fn errors_of_a_receive_come_after_what_was_received() {
     let v4 = || datagram("198.51.100.7:1", "198.51.100.1", &[4; 38]);
     let error = |error| Arrival::Error(error);
     let mut batch = batch([error(Errno::EINTR), v4(), error(Errno::ENOMEM), v4()]);
-    assert_eq!(batch.receive(socket(), AT_ONCE, true).unwrap(), 1);
-    let refused = batch.receive(socket(), AT_ONCE, true).unwrap_err();
+    assert_eq!(batch.receive(socket(), AT_ONCE, Destination::FromControl).unwrap(), 1);
+    let refused = batch.receive(socket(), AT_ONCE, Destination::FromControl).unwrap_err();
     assert_eq!(refused.raw_os_error(), Some(libc::ENOMEM));
-    assert_eq!(batch.receive(socket(), AT_ONCE, true).unwrap(), 1);
+    assert_eq!(batch.receive(socket(), AT_ONCE, Destination::FromControl).unwrap(), 1);
 }
 
 /// As many as there is room for, from one turn after another, wherever the batch has been meanwhile.
@@ -321,7 +321,7 @@ fn what_was_received_is_sent_on() {
     let mut expected = Vec::new();
     for turn in 0.. {
         let most = [1, 4, 16, AT_ONCE][turn % 4];
-        let received = batch.receive(socket(), most, turn % 3 > 0).unwrap();
+        let received = batch.receive(socket(), most, destination(turn % 3 > 0)).unwrap();
         for index in 0..received {
             let Incoming { slot, octets, .. } = batch.incoming(index).unwrap();
             octets[0] ^= 0x80; // as a password is replaced
@@ -464,4 +464,9 @@ fn what_has_no_socket_any_more_is_reported() {
     batch.flush(|_| None, |_, outcome| refused += usize::from(outcome.is_err()));
     assert_eq!(refused, 2);
     assert!(batch.kernel.sent.borrow().is_empty());
+}
+
+/// How a socket is asked that tells, or that does not.
+pub(super) fn destination(tells: bool) -> Destination {
+    if tells { Destination::FromControl } else { Destination::Bound }
 }

@@ -68,6 +68,15 @@ pub(in crate::datapath) struct Batch<K = Linux> {
 // the kernel follow some sets them first, to what the same batch owns.
 unsafe impl<K: Send> Send for Batch<K> {}
 
+/// How the address is known that a datagram was sent to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(in crate::datapath) enum Destination {
+    /// It is the one that the socket is bound to, or of no interest.
+    Bound,
+    /// A control message of each datagram tells it.
+    FromControl,
+}
+
 /// What was received in one slot.
 pub(in crate::datapath) struct Incoming<'a> {
     /// Where it waits until [`Batch::queue`].
@@ -135,14 +144,13 @@ impl<K: Kernel> Batch<K> {
     }
 
     /// Takes what waits on a socket, up to `most` datagrams, of [`AT_ONCE`], and returns how many.
-    /// `tells`: the socket tells where each was sent to.
     pub(in crate::datapath) fn receive(
         &mut self,
         socket: BorrowedFd<'_>,
         most: usize,
-        tells: bool,
+        destination: Destination,
     ) -> io::Result<usize> {
-        let received = if most == 1 && !tells {
+        let received = if most == 1 && destination == Destination::Bound {
             self.receive_one(socket)
         } else {
             self.receive_many(socket, most)

@@ -4,6 +4,7 @@ use std::net::UdpSocket;
 use std::os::fd::AsFd;
 use std::time::Duration;
 
+use super::fake::destination;
 use super::*;
 use crate::datapath::socket::sys::options;
 
@@ -87,10 +88,10 @@ fn what_is_received_is_told_alike() {
         let sender = receiver(address);
         let mut batch = Batch::new();
         for most in [1, 2, 1, AT_ONCE] {
-            assert_eq!(batch.receive(socket.as_fd(), most, tells).unwrap(), 0);
+            assert_eq!(batch.receive(socket.as_fd(), most, destination(tells)).unwrap(), 0);
             for octets in [&[9; 38][..], &[]] {
                 sender.send_to(octets, (address, port)).unwrap();
-                assert_eq!(batch.receive(socket.as_fd(), most, tells).unwrap(), 1);
+                assert_eq!(batch.receive(socket.as_fd(), most, destination(tells)).unwrap(), 1);
                 let incoming = batch.incoming(0).unwrap();
                 assert_eq!(incoming.octets, octets);
                 assert_eq!(incoming.from, sender.local_addr().unwrap());

@@ -2,7 +2,6 @@
 //!
 //! Told by who asks: some of it passes by itself, and is worth another try.
 
-use std::error::Error;
 use std::fmt::{self, Display, Formatter};
 use std::fs;
 use std::io;
@@ -26,14 +25,14 @@ static UNPRIVILEGED_PORTS: LazyLock<u16> = LazyLock::new(|| {
 /// A call that failed.
 #[derive(Debug, thiserror::Error)]
 #[error("{call}: {error}")]
-pub(in crate::datapath) struct CallError {
+pub(crate) struct CallError {
     call: &'static str,
     error: io::Error,
 }
 
 impl CallError {
     /// For `map_err`: the error of this call.
-    pub(in crate::datapath) fn of<E: Into<io::Error>>(call: &'static str) -> impl Fn(E) -> Self {
+    pub(crate) fn of<E: Into<io::Error>>(call: &'static str) -> impl Fn(E) -> Self {
         move |error| Self { call, error: error.into() }
     }
 }
@@ -70,7 +69,7 @@ enum Obstacle {
 
 impl ListenError {
     /// What a call for a socket of this protocol on this address has failed with.
-    pub(in crate::datapath) fn new(
+    pub(crate) fn new(
         protocol: &'static str,
         address: SocketAddr,
         setting: &'static str,
@@ -112,7 +111,8 @@ impl ListenError {
 
 impl ListenError {
     /// The same for another port, where the address as a whole cannot be bound.
-    pub(in crate::datapath) fn at(&self, address: SocketAddr) -> Option<Self> {
+    #[cfg(feature = "relay")]
+    pub(crate) fn at(&self, address: SocketAddr) -> Option<Self> {
         let obstacle = match self.obstacle {
             Obstacle::NotOurs => Obstacle::NotOurs,
             Obstacle::Tentative => Obstacle::Tentative,
@@ -124,7 +124,7 @@ impl ListenError {
     }
 
     /// What is in the way and what to do about it, without the address.
-    pub(in crate::datapath) fn why(&self) -> String {
+    pub(crate) fn why(&self) -> String {
         match &self.obstacle {
             Obstacle::InUse => {
                 let sockets = if self.protocol == "TCP" { "ss -ltnp" } else { "ss -lunp" };
@@ -180,7 +180,8 @@ pub fn may_pass(error: &io::Error) -> bool {
 }
 
 /// An error and what caused it.
-pub(crate) fn chain(error: &dyn Error) -> String {
+#[cfg(feature = "relay")]
+pub(crate) fn chain(error: &dyn std::error::Error) -> String {
     match error.source() {
         Some(cause) => format!("{error}: {}", chain(cause)),
         None => error.to_string(),
@@ -188,7 +189,8 @@ pub(crate) fn chain(error: &dyn Error) -> String {
 }
 
 /// Looks up what only an unconfined process can read.
-pub(in crate::datapath) fn look_up() {
+#[cfg(feature = "relay")]
+pub(crate) fn look_up() {
     LazyLock::force(&UNPRIVILEGED_PORTS);
 }
 

@@ -1,0 +1,78 @@
+//! The way to a worker of sockets, for who has none of its thread.
+
+use std::io;
+use std::sync::Arc;
+use std::sync::mpsc::{self, Sender};
+use std::time::Instant;
+
+use nix::sys::epoll::{Epoll, EpollCreateFlags};
+use nix::sys::eventfd::{EfdFlags, EventFd};
+
+use crate::config::Config;
+use crate::datapath::commands::Command;
+use crate::nat::{Core, ListenerId};
+
+use super::event_key::EventKey;
+use super::public::{Listener, Listeners};
+use super::setup::StartError;
+use super::upstream::Shared;
+use super::worker::{Worker, WorkerSetup};
+
+/// The way to a worker.
+#[derive(Debug)]
+pub(in crate::datapath) struct Handle {
+    commands: Sender<Command>,
+    wake: Arc<EventFd>,
+    epoll: Arc<Epoll>,
+}
+
+impl Handle {
+    /// A worker around this core, with these public sockets, and the way to it.
+    pub(in crate::datapath) fn build(
+        config: &Config,
+        core: Core,
+        listeners: Listeners,
+        upstream_limit: usize,
+        started: Instant,
+        shared: &Shared,
+    ) -> Result<(Self, Worker), StartError> {
+        let epoll = Epoll::new(EpollCreateFlags::EPOLL_CLOEXEC).map_err(io::Error::from)?;
+        let flags = EfdFlags::EFD_NONBLOCK | EfdFlags::EFD_CLOEXEC;
+        let wake = Arc::new(EventFd::from_flags(flags).map_err(io::Error::from)?);
+        let (commands, inbox) = mpsc::channel();
+        let handle = Self { commands, wake: Arc::clone(&wake), epoll: Arc::new(epoll) };
+        for (id, listener) in listeners.iter() {
+            handle.watch(id, listener)?;
+        }
+        let worker = Worker::new(WorkerSetup {
+            core,
+            listeners,
+            table: Arc::clone(&config.table),
+            shared: shared.clone(),
+            upstream_limit,
+            runtime: config.runtime.clone(),
+            started,
+            commands: inbox,
+            epoll: Arc::clone(&handle.epoll),
+            wake,
+        })?;
+        Ok((handle, worker))
+    }
+
+    /// Has the worker woken by what arrives at a public socket.
+    pub(in crate::datapath) fn watch(
+        &self,
+        id: ListenerId,
+        listener: &Listener,
+    ) -> Result<(), StartError> {
+        let watched = self.epoll.add(&listener.socket, EventKey::Public(id).arrivals());
+        watched.map_err(|error| StartError::Watch(error.into()))
+    }
+
+    /// Asks the worker; one that has ended answers nothing.
+    pub(in crate::datapath) fn ask(&self, command: Command) {
+        if self.commands.send(command).is_ok() {
+            let _ = self.wake.write(1);
+        }
+    }
+}
