@@ -4,6 +4,7 @@ pub(in crate::datapath) mod busy_poll;
 pub(in crate::datapath) mod descriptors;
 pub(in crate::datapath) mod event_key;
 pub(in crate::datapath) mod filtered;
+pub(in crate::datapath) mod flood_guard;
 pub(in crate::datapath) mod handle;
 pub(in crate::datapath) mod port_pool;
 pub(in crate::datapath) mod public;

@@ -18,10 +18,10 @@ use crate::config::Runtime;
 use crate::nat::{Arrival, Core, Direction, DropReason, ListenerId, Table, UpstreamId};
 
 use crate::datapath::commands::{Command, WorkerReload};
-use crate::datapath::kernel_filter::flood::FloodGuard;
 use crate::datapath::kernel_filter::request;
 use crate::datapath::socket::busy_poll::BusyPoll;
 use crate::datapath::socket::event_key::EventKey;
+use crate::datapath::socket::flood_guard::FloodGuard;
 use crate::datapath::socket::public::{Listener, Listeners};
 use crate::datapath::socket::receive_quota::ReceiveQuota;
 use crate::datapath::socket::sys::batch::{Batch, Destination, Tag};
@@ -77,8 +77,9 @@ impl Worker {
     pub(in crate::datapath) fn new(parts: WorkerSetup) -> io::Result<Self> {
         parts.epoll.add(&*parts.wake, EventKey::Wake.arrivals())?;
         let ticker = Ticker::new(&parts.epoll)?;
-        let (prefilter, listeners) = (parts.runtime.prefilter, &parts.listeners);
-        let floods = FloodGuard::new(prefilter, listeners, parts.table.clone(), parts.started);
+        let mut floods = FloodGuard::new(parts.started);
+        let (table, none) = (parts.core.table(), Listeners::default());
+        floods.reload(parts.runtime.prefilter, (table, table), &none, &parts.listeners);
         let mut upstream = UpstreamSockets::new(
             Arc::clone(&parts.epoll),
             parts.shared,
@@ -193,7 +194,7 @@ impl Worker {
             }
         }
         if refused > 0 {
-            self.floods.note(id, listener, now, refused);
+            self.floods.note(id, listener, self.core.table(), now, refused);
         }
         received
     }
@@ -266,7 +267,7 @@ impl Worker {
     #[inline]
     fn tidy(&mut self, now: Instant) {
         if self.floods.is_looking() {
-            self.floods.end_quiet_floods(&self.listeners);
+            self.floods.end_quiet_floods(&self.listeners, self.core.table());
         }
         if self.expiring {
             self.expiring = self.core.expire(now, &mut self.upstream);
@@ -332,7 +333,7 @@ impl Worker {
         let WorkerReload { succession, listeners, upstream_limit, runtime } = next;
         let before = mem::replace(&mut self.listeners, listeners);
         let after = &self.listeners;
-        let table = Arc::clone(&succession.rules.table);
+        let (old, table) = (Arc::clone(self.core.table()), Arc::clone(&succession.rules.table));
         self.core.reload(now, succession, &mut self.upstream);
         self.warnings = RateLimitedWarnings::default();
         for (id, was) in before.iter() {
@@ -340,7 +341,7 @@ impl Worker {
                 was.account();
             }
         }
-        self.floods.reload(runtime.prefilter, Arc::clone(&table), &before, after);
+        self.floods.reload(runtime.prefilter, (&old, &table), &before, after);
         self.upstream.reload(upstream_limit, &runtime, table);
         self.upstream.answer_from(self.listeners.clone());
         self.busy = BusyPoll::new(runtime.busy_poll);

@@ -8,6 +8,7 @@ use std::collections::VecDeque;
 
 use libc::{c_void, mmsghdr, socklen_t};
 
+use super::send::segments;
 use super::*;
 
 const TAG: Tag =
@@ -196,7 +197,7 @@ unsafe fn read(octets: *const c_void, len: usize) -> Vec<u8> {
         return Vec::new();
     }
     // SAFETY: the caller promises `len` octets.
-    unsafe { slice::from_raw_parts(octets.cast::<u8>(), len) }.to_vec()
+    unsafe { std::slice::from_raw_parts(octets.cast::<u8>(), len) }.to_vec()
 }
 
 fn socket() -> BorrowedFd<'static> {
