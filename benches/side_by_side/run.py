@@ -7,9 +7,11 @@ import signal
 import subprocess
 import sys
 from contextlib import ExitStack
+from pathlib import Path
 
 import lab
 import report
+import speed
 from lab import Folder, Load, Nodes, System, find
 from systems import SUBNET, SYSTEMS, Site
 
@@ -89,7 +91,8 @@ def arguments():
     parser.add_argument("--no-build", action="store_true", help="take what was built before")
     parser.add_argument("--out", help="append each run to this file, a line of JSON each")
     parser.add_argument("--report", metavar="FILE", help="only show the runs of an earlier --out")
-    parser.add_argument("--readme", action="store_true", help="one table, the one of the README")
+    parser.add_argument("--readme", action="store_true", help="one table, the one of docs/performance.md")
+    parser.add_argument("--chart", metavar="FILE", help="write FILE.json and FILE.svg, the chart of the README")
     parser.add_argument("--list", action="store_true", help="list the systems")
     options = parser.parse_args()
     for asked, known in ((options.systems, SYSTEMS), (options.scenarios, SCENARIOS)):
@@ -105,6 +108,10 @@ def is_here(name):
 
 
 def show(results, options):
+    if options.chart:
+        figures = speed.medians(results, f"{lab.machine()}; medians of {options.rounds} rounds of {options.seconds:g} s")
+        Path(options.chart).with_suffix(".json").write_text(json.dumps(figures, indent=2) + "\n")
+        speed.write(Path(options.chart).with_suffix(".svg"), figures)
     print(report.readme(results) if options.readme else report.tables(results, SCENARIOS))
 
 
