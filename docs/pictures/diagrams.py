@@ -37,7 +37,7 @@ STYLE = """
   }
 """
 
-# The groups of checks, and in each the drop reason and what is asked. tests/docs.rs looks for each of them.
+# The groups of checks, and in each the drop reason and what is asked. tests/docs looks for each of them.
 CHECKS = (
     ("The datagram alone", (
         ("not_unicast", "sent to an address of this router, not to many?"),

@@ -1,4 +1,9 @@
-//! README.md keeps up with the code: its drop reasons, its metrics, its configuration.
+//! README.md and the pages keep up with the code: their tables, their configuration, their commands, their
+//! links and pictures.
+
+mod commands;
+mod links;
+mod page;
 
 use std::collections::BTreeSet;
 use std::fmt::Write;
@@ -9,20 +14,36 @@ use std::process::Command;
 use std::sync::Arc;
 
 use pnet_nat::config::{self, Config, Warning};
-use pnet_nat::datapath::Router;
-use pnet_nat::nat::DropReason;
 use pnet_nat::observe::metrics::Metrics;
+use pnet_nat::datapath::Router;
+use pnet_nat::nat::{CloseReason, DropReason};
 use pnet_nat::sandbox::Sandbox;
 
-const README: &str = include_str!("../README.md");
+const README: &str = include_str!("../../README.md");
+const MONITORING: &str = include_str!("../../docs/monitoring.md");
+const TROUBLESHOOTING: &str = include_str!("../../docs/troubleshooting.md");
 
 #[test]
 fn the_drop_reasons_are_those_of_the_code() {
     let right = drop_reasons();
     assert!(
-        README.contains(&format!("\n\n{right}\n")),
-        "the table under \"Why a datagram was dropped\" has to be:\n\n{right}"
+        TROUBLESHOOTING.contains(&format!("\n\n{right}\n")),
+        "the table under \"Drop reasons\" has to be:\n\n{right}"
     );
+    let picture = include_str!("../../docs/pictures/checks.svg");
+    for reason in DropReason::REQUEST {
+        let shown = picture.matches(&format!(">{}<", reason.label())).count();
+        assert_eq!(shown, 1, "{} in checks.svg, which diagrams.py draws", reason.label());
+    }
+}
+
+#[test]
+fn the_close_reasons_are_those_of_the_code() {
+    let (_, table) = TROUBLESHOOTING.split_once("## Close reasons").unwrap();
+    let (table, _) = table.split_once("\n## ").unwrap();
+    let rows = table.lines().filter_map(|line| line.strip_prefix("| `"));
+    let told: Vec<_> = rows.filter_map(|row| row.split('`').next()).collect();
+    assert_eq!(told, CloseReason::ALL.map(CloseReason::label));
 }
 
 #[test]
@@ -31,24 +52,28 @@ fn every_metric_is_described_and_no_other() {
     let exposed = scrape.lines().filter_map(|line| line.strip_prefix("# TYPE "));
     let exposed = exposed.filter_map(|line| line.split(' ').next());
     let exposed: BTreeSet<_> = exposed.filter(|name| name.starts_with("pnet_nat_")).collect();
-    let rows = README.lines().filter_map(|line| line.strip_prefix("| `"));
+    let rows = MONITORING.lines().filter_map(|line| line.strip_prefix("| `"));
     let described = rows.filter_map(|row| row.split('`').next());
     let described: BTreeSet<_> = described.filter(|name| name.starts_with("pnet_nat_")).collect();
     assert_eq!(described, exposed);
 
-    let words = README.split(|c: char| c != '_' && !c.is_ascii_alphanumeric());
-    for name in words.filter(|word| word.starts_with("pnet_nat_")) {
-        let family = name.strip_suffix("_bucket").unwrap_or(name);
-        assert!(exposed.contains(family), "there is no metric {name}");
+    for page in page::all() {
+        let text = fs::read_to_string(&page.path).unwrap();
+        let words = text.split(|c: char| c != '_' && !c.is_ascii_alphanumeric());
+        for name in words.filter(|word| word.starts_with("pnet_nat_")) {
+            let family = name.strip_suffix("_bucket").unwrap_or(name);
+            let page = page.path.display();
+            assert!(exposed.contains(family), "{page}: there is no metric {name}");
+        }
     }
 }
 
 #[test]
 fn the_alerts_are_those_of_the_rules() {
-    let rules = include_str!("../deploy/prometheus/pnet-nat.rules.yml");
+    let rules = include_str!("../../deploy/prometheus/pnet-nat.rules.yml");
     let alerts: Vec<_> =
         rules.split("- alert: ").skip(1).filter_map(|a| a.lines().next()).collect();
-    let rows = README.lines().filter_map(|line| line.strip_prefix("| `Pnet"));
+    let rows = MONITORING.lines().filter_map(|line| line.strip_prefix("| `Pnet"));
     let described: Vec<_> = rows.filter_map(|row| row.split('`').next()).collect();
     assert_eq!(described, alerts.iter().map(|alert| &alert["Pnet".len()..]).collect::<Vec<_>>());
 }
@@ -63,7 +88,7 @@ fn the_configuration_is_sound() {
 /// The steps for the package leave a configuration that needs no other password file than they make.
 #[test]
 fn the_steps_for_the_package_end_in_a_sound_configuration() {
-    let steps = include_str!("../deploy/systemd/README.md");
+    let steps = include_str!("../../deploy/systemd/README.md");
     let commands = |text: &'static str| {
         let lines = text.lines().filter(|line| line.contains("/etc/pnet-nat/"));
         lines.filter(|line| line.starts_with("sed ") || line.starts_with("(umask"))

@@ -1,4 +1,4 @@
-//! The audit log as README tells it: every event by its name, with its fields, and never more lines
+//! The audit log as docs/log.md tells it: every event by its name, with its fields, and never more lines
 //! than are allowed.
 
 use std::collections::BTreeSet;
@@ -12,7 +12,7 @@ use crate::harness::{
     request,
 };
 
-const README: &str = include_str!("../../README.md");
+const PAGE: &str = include_str!("../../docs/log.md");
 
 /// Ten wrong passwords, and what shows that there were enough.
 fn guess(relay: &Relay, site: &Site, stranger: &Peer) {
@@ -25,9 +25,9 @@ fn guess(relay: &Relay, site: &Site, stranger: &Peer) {
     });
 }
 
-/// Each row of README's table: an event happens here, and its line has these fields and no others.
+/// Each row of the page's table: an event happens here, and its line has these fields and no others.
 #[test]
-fn every_event_of_the_readme_is_written_as_it_says() {
+fn every_event_of_the_page_is_written_as_it_says() {
     let site = Site::claim();
     let limits = "[limits]\nwrong_password_burst = 2\nwrong_password_interval = \"500ms\"\n\
                   audit_lines = 2";
@@ -80,9 +80,9 @@ fn stopped_at_once() -> Process {
     relay.process
 }
 
-/// The other way round: what the sources of the audit log write stands in README's table.
+/// The other way round: what the sources of the audit log write stands in the page's table.
 #[test]
-fn every_event_of_the_code_is_in_the_readme() {
+fn every_event_of_the_code_is_on_the_page() {
     let told: BTreeSet<_> = events().into_iter().map(|(event, ..)| event).collect();
     let mut written = BTreeSet::new();
     for source in [
@@ -109,10 +109,10 @@ fn every_event_of_the_code_is_in_the_readme() {
     assert_eq!(written, told);
 }
 
-/// Event, level and fields, from README's table.
+/// Event, level and fields, from the page's table.
 fn events() -> Vec<(String, String, BTreeSet<&'static str>)> {
     let (_, table) =
-        README.split_once("| event | level | when | fields |\n|---|---|---|---|\n").unwrap();
+        PAGE.split_once("| event | level | when | fields |\n|---|---|---|---|\n").unwrap();
     let rows = table.lines().take_while(|line| line.starts_with('|'));
     let events = rows.map(|row| {
         let cells: Vec<_> = row.split('|').map(str::trim).collect();

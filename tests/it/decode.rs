@@ -155,9 +155,9 @@ fn a_reader_who_has_seen_enough_is_no_fault() {
 }
 
 #[test]
-fn readme_shows_what_is_printed() {
-    let readme = include_str!("../../README.md");
-    let (_, section) = readme.split_once("## Looking at datagrams").unwrap();
+fn the_page_shows_what_is_printed() {
+    let page = include_str!("../../docs/troubleshooting.md");
+    let (_, section) = page.split_once("## Looking at datagrams").unwrap();
     let command = section.lines().find(|line| line.starts_with("echo ")).unwrap();
     let (_, printed) = section.split_once("```text\n").unwrap();
     let mut shell = Command::new("bash");

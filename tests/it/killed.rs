@@ -9,7 +9,7 @@ use crate::harness::{Peer, Settings, Site, exchange, request, response};
 /// What a client waits for an answer, at most, before it asks again: a second, as `pnet-nat request` does
 /// unless told otherwise. The relay is away for as long as it takes to start, and no longer: there is no
 /// state to recover, and the kernel holds back none of its ports. With a few of them that is far below a
-/// second (README, "Many ports", has 0.4 s for 8,000). A build for debugging is slow, and not what runs
+/// second (docs/performance.md has 0.4 s for 8,000). A build for debugging is slow, and not what runs
 /// in a plant; beside all other tests it has ten times as long, which still tells a start from a
 /// time-out.
 const REQUEST_TIME_OUT: Duration = Duration::from_secs(if cfg!(debug_assertions) { 10 } else { 1 });

@@ -27,7 +27,7 @@ fn start_with(network: &Network, listen: &str, sections: &str) -> Relay {
     network.place(listen).relay(&Settings { runtime, sections, ..Settings::default() })
 }
 
-/// Two uplinks: with the rule that README.md has, an answer leaves by the uplink whose address was
+/// Two uplinks: with the rule that docs/operations.md has, an answer leaves by the uplink whose address was
 /// asked. The default route leads to a gateway that is not there, so nothing comes by that one.
 #[test]
 fn an_answer_leaves_by_the_uplink_of_its_request() {

@@ -279,7 +279,7 @@ file = \"secrets/second\"
 device_file = \"secrets/section-1\"
 ";
 
-/// What README.md has for ports below 1024; and a watchdog that need not be waited for.
+/// What deploy/systemd has for ports below 1024; and a watchdog that need not be waited for.
 const DROP_IN: &str = "[Service]
 PrivateUsers=no
 CapabilityBoundingSet=CAP_NET_BIND_SERVICE

@@ -39,7 +39,7 @@ fn the_try_out_comes_up_and_is_watched() {
     let dropped = project.query("pnet_nat_dropped_datagrams_total > 0");
     assert_eq!(dropped, [] as [Value; 0]);
 
-    // What README has people try.
+    // What docs/container.md has people try.
     project.compose(&["stop", "node-3"]);
     eventually("node 3 is silent", || (project.silent_nodes() == json!([3])).then_some(()));
     project.compose(&["start", "node-3"]);

@@ -14,7 +14,7 @@ use crate::harness::{
     folder,
 };
 
-/// As README starts it.
+/// As docs/container.md starts it.
 const CONFINED: [&str; 6] =
     ["--read-only", "--cap-drop", "ALL", "--security-opt", "no-new-privileges", "--rm"];
 const USER: u32 = 65532;

@@ -1,7 +1,7 @@
 //! NAT conformance: one list of checks, run against the relay and against the kernel's own NAT.
 //!
 //! Each check says what it expects of either, so that what one of them does not do is known and
-//! stays known. README.md shows the list, and has to show it as it is.
+//! stays known. docs/nat-conformance.md shows the list, and has to show it as it is.
 
 mod checks;
 mod systems;
@@ -16,7 +16,7 @@ use crate::harness::{Network, has_nft, nightly};
 
 /// One thing that a NAT router has to do.
 struct Check {
-    /// What it is part of; the sources stand in README.md.
+    /// What it is part of; the sources stand in docs/nat-conformance.md.
     requirement: &'static str,
     passes_when: &'static str,
     settings: Settings,
@@ -89,7 +89,7 @@ fn run(systems: &[System], nightly: bool) {
         };
         running.into_iter().filter_map(outcome).collect()
     });
-    assert!(surprises.is_empty(), "not as README.md says:\n{}", surprises.join("\n"));
+    assert!(surprises.is_empty(), "not as docs/nat-conformance.md says:\n{}", surprises.join("\n"));
 }
 
 #[test]
@@ -110,13 +110,13 @@ fn what_takes_minutes() {
 }
 
 #[test]
-fn the_readme_has_the_table() {
+fn the_page_has_the_table() {
     let mut table = "| | passes when | pnet-nat | kernel |\n|---|---|---|---|\n".to_owned();
     for Check { requirement, passes_when, relay, kernel, .. } in &CHECKS {
         writeln!(table, "| {requirement} | {passes_when} | {relay} | {kernel} |").unwrap();
     }
     assert!(
-        include_str!("../../../README.md").contains(&format!("\n\n{table}\n")),
-        "the table under \"How a NAT router should behave\" has to be:\n\n{table}"
+        include_str!("../../../docs/nat-conformance.md").contains(&format!("\n\n{table}\n")),
+        "the table of docs/nat-conformance.md has to be:\n\n{table}"
     );
 }

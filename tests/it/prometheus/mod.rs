@@ -1,6 +1,6 @@
 //! `deploy/prometheus` and `deploy/grafana` at work: a Prometheus server scrapes a relay under
 //! traffic, its sums are right, the alerts that ought to fire do, and whatever the dashboard and
-//! README ask has an answer.
+//! docs/monitoring.md ask has an answer.
 
 mod grafana;
 mod rules;
@@ -18,7 +18,7 @@ use crate::harness::{
 };
 
 const DASHBOARD: &str = include_str!("../../../deploy/grafana/dashboards/pnet-nat.json");
-const README: &str = include_str!("../../../README.md");
+const PAGE: &str = include_str!("../../../docs/monitoring.md");
 
 const ANSWERED: u64 = 25;
 const UNANSWERED: u64 = 5;
@@ -44,7 +44,7 @@ fn a_server_scrapes_a_relay_under_traffic() {
     the_right_alerts_fire(&prometheus);
     a_failed_reload_is_told_until_one_succeeds(&prometheus, &relay, &site.configuration(&settings));
     every_query_of_the_dashboard_has_an_answer(&prometheus);
-    every_query_of_readme_is_understood(&prometheus);
+    every_query_of_the_page_is_understood(&prometheus);
     relay.finish();
 }
 
@@ -209,9 +209,9 @@ fn has_label(samples: &[Sample], label: &str, shown: &Value) {
     assert!(has, "{shown}: {label} in {samples:?}");
 }
 
-fn every_query_of_readme_is_understood(prometheus: &Prometheus) {
+fn every_query_of_the_page_is_understood(prometheus: &Prometheus) {
     let mut queries = 0;
-    for block in README.split("```promql\n").skip(1) {
+    for block in PAGE.split("```promql\n").skip(1) {
         let block = block.split("```").next().unwrap();
         for query in block.split("\n\n") {
             prometheus.query(query).unwrap_or_else(|error| panic!("{query}: {error}"));
