@@ -98,8 +98,7 @@ fn script(page: &Page) -> Option<String> {
 
 fn is_there(tool: &str) -> bool {
     let folders = env::var("PATH").unwrap();
-    let mut folders =
-        env::split_paths(&folders).map(Into::into).chain(["/usr/sbin".into(), "/sbin".into()]);
+    let mut folders = env::split_paths(&folders).chain(["/usr/sbin".into(), "/sbin".into()]);
     folders.any(|folder: std::path::PathBuf| folder.join(tool).exists())
 }
 

@@ -24,6 +24,7 @@ mod harness;
 mod killed;
 mod kubernetes;
 mod loops;
+mod moving;
 mod namespaces;
 mod nat;
 mod package;
