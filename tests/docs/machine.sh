@@ -60,8 +60,9 @@ END
 chmod +x "$folder/bin/systemctl"
 
 # The far ends of the cables: a gateway on the Internet, and a plant without nodes.
-(unshare --net sleep infinity &)
-until outside=$(pgrep -f '^sleep infinity$'); do sleep 0.05; done
+unshare --net sleep infinity &
+outside=$!
+disown # no job of the page's
 until [ "$(readlink "/proc/$outside/ns/net")" != "$(readlink /proc/self/ns/net)" ]; do sleep 0.05; done
 there() { nsenter --net="/proc/$outside/ns/net" "$@"; }
 ip link set lo up
