@@ -176,7 +176,7 @@ impl DropReason {
         format!("{count} {}", if count == 1 { one } else { many })
     }
 
-    /// What it means and what to do, for people: the README's table and the status page.
+    /// What it means and what to do, for people: docs/troubleshooting.md and the status page.
     pub const fn explanation(self) -> &'static str {
         match self {
             Self::NotUnicast => {

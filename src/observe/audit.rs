@@ -1,6 +1,6 @@
 //! The audit log: who used the relay and who was refused for guessing, one event a line.
 //!
-//! The messages are the names of the events and stay the same (README, "The audit log"). A window of
+//! The messages are the names of the events and stay the same (`docs/log.md`). A window of
 //! the log holds a limited number of lines of each; how many more there would have been is told at
 //! its end, so that nobody fills the disk and no count is lost.
 

@@ -14,9 +14,9 @@ use std::process::Command;
 use std::sync::Arc;
 
 use pnet_nat::config::{self, Config, Warning};
-use pnet_nat::observe::metrics::Metrics;
 use pnet_nat::datapath::Router;
 use pnet_nat::nat::{CloseReason, DropReason};
+use pnet_nat::observe::metrics::Metrics;
 use pnet_nat::sandbox::Sandbox;
 
 const README: &str = include_str!("../../README.md");
