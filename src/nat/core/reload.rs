@@ -1,55 +1,55 @@
 //! A new configuration for a core at work.
 //!
-//! It is in force for the next datagram, whatever there is of flows. A flow goes over to it when a
-//! datagram touches it, and otherwise in its turn, some at a time. It lives on, with its upstream
-//! port, when its mapping, its password and its client's address are still good; otherwise it is
-//! closed, and until then nobody gets anything through it.
+//! New rules hold for the next datagram, however many flows there are. A flow goes over to them when a
+//! datagram touches it, and otherwise when its turn comes, some flows at a time. It lives on with its
+//! upstream port if its mapping, its password and its client's address are still good. Otherwise it
+//! is closed in its turn, and until then nothing passes through it.
 
 use std::mem;
 use std::sync::Arc;
 use std::time::Instant;
 
-use super::core::{AT_ONCE, Core};
-use super::counters::Counters;
-use super::effects::Effects;
-use super::flow::{Flow, FlowRecord};
-use super::ids::FlowId;
-use super::reason::CloseReason;
-use super::rules::Rules;
-use super::time::Nanos;
-use super::transition::{FlowTarget, Transition};
+use super::{AT_ONCE, Core};
+use crate::nat::counters::Counters;
+use crate::nat::effects::Effects;
+use crate::nat::flow::{Flow, FlowRecord};
+use crate::nat::ids::FlowId;
+use crate::nat::reason::CloseReason;
+use crate::nat::rules::Rules;
+use crate::nat::time::Nanos;
+use crate::nat::transition::{FlowTarget, Transition};
 
 /// What a core goes over to.
 #[derive(Debug)]
 pub struct Succession {
-    /// The rules from here on.
+    /// The new rules.
     pub rules: Rules,
-    /// What is counted from here on.
+    /// The counters that belong to their table.
     pub counters: Arc<Counters>,
-    /// The way there.
+    /// Which indices of the old table are which of the new one.
     pub transition: Arc<Transition>,
 }
 
 /// What is left to do of going over to new rules.
 #[derive(Debug)]
-pub(super) struct GoingOver {
-    /// The rules that flows stand under which have not gone over.
-    pub rules: Rules,
-    /// What those are counted by.
-    pub counters: Arc<Counters>,
+pub(in crate::nat) struct GoingOver {
+    /// The old rules, under which flows stand that have not gone over.
+    rules: Rules,
+    /// The counters of those flows.
+    counters: Arc<Counters>,
     transition: Arc<Transition>,
     /// The flow whose turn it is.
     next: FlowId,
     /// Flows that have not gone over.
     left: usize,
-    /// Flows that could not.
+    /// Flows that were closed because they could not, or because their port is wanted.
     closed: usize,
-    /// Flows that did, and are on sockets that are about to be closed.
+    /// Flows that have gone over, on sockets that are about to be closed.
     leaving: Vec<FlowId>,
 }
 
 impl Core {
-    /// Goes over to new rules. They hold at once; [`go_over`](Self::go_over) does what is left to do.
+    /// Puts new rules in force. They hold at once; [`go_over`](Self::go_over) does the rest.
     pub fn reload(&mut self, now: Instant, succession: Succession, effects: &mut impl Effects) {
         while self.going_over.is_some() {
             self.go_over(now, effects);
@@ -66,7 +66,7 @@ impl Core {
             closed: 0,
             leaving: Vec::new(),
         });
-        // A public socket comes before one of our own choice, which can be anywhere.
+        // A public port is given; an upstream socket can be on any other port.
         let mut wanted = vec![false; 1 << 16];
         for mapping in self.rules.table.mappings() {
             wanted[usize::from(mapping.public_port)] = true;
@@ -74,8 +74,8 @@ impl Core {
         self.upstreams.leave(|port| wanted[usize::from(port)]);
     }
 
-    /// Has some more flows go over to the rules of the last [`reload`](Self::reload). Tells how many
-    /// were closed by it as soon as all have.
+    /// Lets some more flows go over to the rules of the last [`reload`](Self::reload). Once all have,
+    /// returns how many flows the reload closed; none before that, and none without a reload.
     pub fn go_over(&mut self, now: Instant, effects: &mut impl Effects) -> Option<usize> {
         let now = self.nanos(now);
         for _ in 0..AT_ONCE {
@@ -102,7 +102,7 @@ impl Core {
         None
     }
 
-    /// Brings a flow under the rules in force, or closes it. Tells whether it is still there.
+    /// Brings a flow under the rules in force, or closes it. True if it is still there.
     #[inline]
     pub(super) fn settle(&mut self, id: FlowId, now: Nanos, effects: &mut impl Effects) -> bool {
         match self.take_along(id) {
@@ -114,7 +114,7 @@ impl Core {
         }
     }
 
-    /// Brings a flow under the rules in force, or tells why it has to go.
+    /// Brings a flow under the rules in force, or returns why it has to be closed.
     #[inline]
     pub(super) fn take_along(&mut self, id: FlowId) -> Result<(), CloseReason> {
         if self.flows.get(id).era == self.era { Ok(()) } else { self.take_over(id) }
@@ -146,7 +146,7 @@ impl Core {
         Ok(())
     }
 
-    /// The rules that a flow stands under, and what it is counted by.
+    /// The rules that a flow stands under, and its counters.
     pub(super) fn rules_of(&self, flow: &Flow) -> (&Rules, &Counters) {
         match &self.going_over {
             Some(before) if flow.era != self.era => (&before.rules, &before.counters),
@@ -154,7 +154,7 @@ impl Core {
         }
     }
 
-    /// Notes that a flow is gone, if it had not gone over.
+    /// Notes that a flow was closed, if it had not gone over.
     pub(super) fn note_withdrawn(&mut self, flow: &Flow) {
         if let Some(going_over) = self.going_over.as_mut().filter(|_| flow.era != self.era) {
             going_over.left -= 1;
@@ -162,7 +162,7 @@ impl Core {
         }
     }
 
-    /// Where a flow stands in the rules in force, if they have a place for it.
+    /// The mapping and credential of a flow under the rules in force, if they have a place for it.
     pub(super) fn place(&self, flow: &Flow) -> Option<FlowTarget> {
         match &self.going_over {
             Some(before) if flow.era != self.era => {
@@ -173,8 +173,8 @@ impl Core {
         }
     }
 
-    /// What is told of a flow; nothing when the rules in force have no place for it, nor when it
-    /// is closed but for its last answers.
+    /// The record of a flow; none when the rules in force have no place for it, nor when it is open
+    /// for its last answers only.
     pub(super) fn record(&self, flow: &Flow, now: Nanos) -> Option<FlowRecord> {
         let FlowTarget { mapping, credential } = self.place(flow).filter(|_| flow.left == 0)?;
         let credential = credential.map(usize::from);

@@ -1,0 +1,195 @@
+//! A request, from a client to a server node: the checks that it has to pass, in their order.
+
+use std::net::SocketAddr;
+use std::time::Instant;
+
+use super::{Arrival, Core};
+use crate::nat::effects::Effects;
+use crate::nat::ids::{FlowId, NetId, UpstreamId};
+use crate::nat::protocol::{self, Request};
+use crate::nat::reason::{Direction, DropReason};
+use crate::nat::time::Nanos;
+
+/// How often a client with an open flow is noted as known: often enough that it stays known.
+const NOTED_AGAIN: Nanos = 3_600_000_000_000;
+
+/// Where a request goes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ToServer {
+    /// The socket to send on.
+    pub via: UpstreamId,
+    /// The server's address and port.
+    pub server: SocketAddr,
+    /// The flow that waits for the answer once the request is sent; none when no answer is wanted.
+    pub asks: Option<FlowId>,
+}
+
+impl Core {
+    /// Judges a request. If it may pass, `octets` hold what the server is to receive. The caller then
+    /// sends them and reports with [`request_sent`](Self::request_sent) or
+    /// [`send_failed`](Self::send_failed), before the next call that may close a flow.
+    #[inline]
+    pub fn request(
+        &mut self,
+        now: Instant,
+        arrival: &Arrival,
+        octets: &mut [u8],
+        effects: &mut impl Effects,
+    ) -> Result<ToServer, DropReason> {
+        let now = self.nanos(now);
+        let verdict = self.judge_request(now, arrival, octets, effects);
+        let node = self.counters.node(arrival.mapping).direction(Direction::Request);
+        node.received.add(1);
+        if let Err(reason) = verdict {
+            node.dropped(reason).add(1);
+            self.note_source(reason, now, arrival.mapping, arrival.client.ip());
+        }
+        verdict
+    }
+
+    /// The checks of a request, in their order: first those that cost least for a stranger's datagram,
+    /// then who sent it, then the password, and only then what it asks for.
+    #[inline]
+    fn judge_request(
+        &mut self,
+        now: Nanos,
+        arrival: &Arrival,
+        octets: &mut [u8],
+        effects: &mut impl Effects,
+    ) -> Result<ToServer, DropReason> {
+        if !arrival.is_unicast() {
+            return Err(DropReason::NotUnicast); // or every router that receives it would pass it on
+        }
+        let mapping = self.rules.table.mapping(arrival.mapping);
+        let net = self.rules.table.net(mapping.net);
+        let request = Request::parse(octets, self.rules.table.header, net)?;
+
+        // A request of an open flow is judged by its password alone, so that wrong passwords under a
+        // client's address cannot lock the client out.
+        let open = self.flows.of_request(&arrival.endpoints());
+        let open = open.filter(|&id| self.settle(id, now, effects));
+        if open.is_none() {
+            self.check_sender(now, arrival, mapping.net, effects)?;
+        }
+        let credential = self.check_password(now, arrival, &request, open, effects)?;
+        request.is_for(mapping.node_address)?;
+        if open.is_none() && arrival.comes_back(effects) {
+            return Err(DropReason::Loop);
+        }
+        let paid_until = self.take_request(now, mapping.net, open)?;
+        let id = match open {
+            Some(id) => id,
+            None => self.open(now, arrival, credential, effects)?,
+        };
+        let flow = self.flows.get_mut(id);
+        flow.paid_until = paid_until;
+        flow.asked_with(credential);
+        flow.last_used = now;
+        let via = flow.upstream;
+        if let Some(credential) = credential {
+            self.accept(now, arrival, id, credential, octets);
+        }
+        let asks = request.confirmed.then_some(id);
+        Ok(ToServer { via, server: mapping.server, asks })
+    }
+
+    /// Who may send to a net without an open flow.
+    #[inline]
+    fn check_sender(
+        &mut self,
+        now: Nanos,
+        arrival: &Arrival,
+        net: NetId,
+        effects: &mut impl Effects,
+    ) -> Result<(), DropReason> {
+        if arrival.is_loop(effects) {
+            return Err(DropReason::Loop);
+        }
+        if arrival.is_unanswerable() {
+            return Err(DropReason::Unanswerable);
+        }
+        let client = arrival.client;
+        if !self.rules.table.allows(net, client.ip()) {
+            return Err(DropReason::SourceNotAllowed);
+        }
+        // Wrong passwords under the address of a known client cannot lock it out either.
+        let is_known = || self.rules.known.includes(net, client.ip(), now);
+        if !self.throttle.admits(now, client, arrival.mapping, is_known, effects) {
+            return Err(DropReason::Throttled);
+        }
+        Ok(())
+    }
+
+    /// The credential that the request's password is; none for a request without a password.
+    #[inline]
+    fn check_password(
+        &mut self,
+        now: Nanos,
+        arrival: &Arrival,
+        request: &Request,
+        open: Option<FlowId>,
+        effects: &mut impl Effects,
+    ) -> Result<Option<u16>, DropReason> {
+        let Some(password) = &request.password else {
+            return Ok(None); // Request::parse let it pass: the net allows it (A4)
+        };
+        let table = &self.rules.table;
+        let credential = table.net(table.mapping(arrival.mapping).net).credential(password);
+        if credential.is_none() {
+            if open.is_none() {
+                self.throttle.wrong_password(now, arrival.client, effects);
+            }
+            return Err(DropReason::PasswordWrong);
+        }
+        Ok(credential)
+    }
+
+    /// Takes one request from what the flow and the net may send, and returns until when the flow has
+    /// paid then. The flow comes first, so that one that asks too much takes nothing from the others.
+    /// Strangers do not get this far, so they use nothing up.
+    #[inline]
+    fn take_request(
+        &self,
+        now: Nanos,
+        net: NetId,
+        open: Option<FlowId>,
+    ) -> Result<Nanos, DropReason> {
+        let paid_until = match self.rules.table.net(net).max_flow_requests {
+            None => 0,
+            Some(rate) => {
+                let paid_until = open.map_or(0, |id| self.flows.get(id).paid_until);
+                rate.take(paid_until, now).ok_or(DropReason::RequestLimit)?
+            }
+        };
+        if self.rules.budget.take_request(net, now) {
+            Ok(paid_until)
+        } else {
+            Err(DropReason::RequestLimit)
+        }
+    }
+
+    /// Notes that a request passes with this credential, and exchanges its password for the one that
+    /// the server expects.
+    #[inline]
+    fn accept(
+        &mut self,
+        now: Nanos,
+        arrival: &Arrival,
+        id: FlowId,
+        credential: u16,
+        octets: &mut [u8],
+    ) {
+        let table = &self.rules.table;
+        let net = table.mapping(arrival.mapping).net;
+        let flow = self.flows.get_mut(id);
+        if flow.noted == 0 || now - flow.noted >= NOTED_AGAIN {
+            flow.noted = now;
+            self.rules.known.note(net, arrival.client.ip(), now);
+        }
+        self.counters.accepted(net)[usize::from(credential)].add(1);
+        let credential = &table.net(net).credentials[usize::from(credential)];
+        if let Some(device) = &credential.device_password {
+            protocol::replace_password(octets, device);
+        }
+    }
+}

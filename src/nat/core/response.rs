@@ -1,0 +1,100 @@
+//! A response, from a server node to a client: the checks that it has to pass, in their order.
+
+use std::net::{IpAddr, SocketAddr};
+use std::time::Instant;
+
+use super::Core;
+use crate::nat::ids::{FlowId, ListenerId, MappingId, UpstreamId};
+use crate::nat::protocol;
+use crate::nat::reason::{Direction, DropReason};
+use crate::nat::time::Nanos;
+
+/// Where a response goes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ToClient {
+    /// The socket to send on.
+    pub via: ListenerId,
+    /// The address to send from.
+    pub public_address: IpAddr,
+    /// The client's address and port.
+    pub client: SocketAddr,
+    /// The mapping that the datagram is counted for.
+    pub mapping: MappingId,
+}
+
+impl Core {
+    /// Judges what a server sent to an upstream socket. If it may pass, `octets` hold what the client
+    /// is to receive. The caller then sends them and reports with
+    /// [`response_sent`](Self::response_sent) or [`send_failed`](Self::send_failed).
+    #[inline]
+    pub fn response(
+        &mut self,
+        now: Instant,
+        via: UpstreamId,
+        server: SocketAddr,
+        octets: &mut [u8],
+    ) -> Result<ToClient, DropReason> {
+        // A flow for which the new rules have no place is closed later; until then it takes nothing.
+        let flow = self.flows.of_response(via, server).filter(|&id| self.take_along(id).is_ok());
+        let verdict = match flow {
+            Some(id) => self.judge_response(self.nanos(now), id, octets),
+            None => Err(DropReason::UnknownFlow),
+        };
+        let mapping = match flow {
+            Some(id) => Some(self.flows.get(id).mapping),
+            None => self.rules.table.mapping_of_server(server),
+        };
+        let node = mapping.map_or(&*self.counters.stray, |mapping| self.counters.node(mapping));
+        let node = node.direction(Direction::Response);
+        node.received.add(1);
+        if let Err(reason) = verdict {
+            node.dropped(reason).add(1);
+            if let Some(mapping) = mapping {
+                self.note_source(reason, self.nanos(now), mapping, server.ip());
+            }
+        }
+        verdict
+    }
+
+    /// The checks of a response of this flow, in their order.
+    #[inline]
+    fn judge_response(
+        &mut self,
+        now: Nanos,
+        id: FlowId,
+        octets: &mut [u8],
+    ) -> Result<ToClient, DropReason> {
+        let password = protocol::response(octets, self.rules.table.header)?;
+        let flow = self.flows.get_mut(id);
+        let mapping = self.rules.table.mapping(flow.mapping);
+        let net = self.rules.table.net(mapping.net);
+        match password {
+            Some(password) => {
+                // A16. Any password that the flow asked with is right: the answer may be to an earlier
+                // request than the latest.
+                let credentials =
+                    flow.credentials().map(|index| &net.credentials[usize::from(index)]);
+                let credential = { credentials }
+                    .find(|credential| credential.at_server().matches(&password).into())
+                    .ok_or(DropReason::PasswordMismatch)?;
+                if credential.device_password.is_some() {
+                    protocol::replace_password(octets, &credential.password);
+                }
+            }
+            None if net.require_response_password => return Err(DropReason::PasswordMismatch),
+            None => {}
+        }
+        flow.last_used = now; // N-3
+        let node = self.counters.node(flow.mapping);
+        node.answered(now);
+        if let Some(response_time) = flow.answers.came(now) {
+            node.response_times.observe(response_time);
+        }
+        Ok(ToClient {
+            via: flow.endpoints.listener,
+            public_address: flow.endpoints.public_address,
+            client: flow.endpoints.client,
+            mapping: flow.mapping,
+        })
+    }
+}
