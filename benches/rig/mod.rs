@@ -12,9 +12,8 @@ use std::time::{Duration, Instant};
 use fastrand::Rng;
 use ipnet::IpNet;
 use pnet_nat::nat::{
-    Arrival, Chance, CloseReason, Core, Counters, Credential, Effects, FlowRecord, Limits,
-    ListenerId, Mapping, MappingId, Net, NetId, NetKind, RequestRate, Rules, Succession, Table,
-    ToServer, Transition, UpstreamId,
+    Arrival, Chance, Core, Counters, Credential, Effects, Limits, ListenerId, Mapping, MappingId,
+    Net, NetId, NetKind, RequestRate, Rules, Succession, Table, ToServer, Transition, UpstreamId,
 };
 use pnet_nat::pnet::wire::{Header, Password};
 
@@ -70,20 +69,18 @@ impl Default for Site {
 impl Site {
     fn table_and_limits(&self) -> (Arc<Table>, Limits) {
         let net = Net {
-            name: "section-1".into(),
-            kind: NetKind::UdpRange { start_port: START_PORT },
             allow: self.allow.clone(),
             credentials: vec![Credential {
                 name: "service".into(),
                 password: Password::new(*self.password),
                 device_password: self.device_password.then(|| Password::new(*DEVICE_PASSWORD)),
             }],
-            allow_without_password: false,
             require_response_password: true,
             idle_timeout: IDLE_TIMEOUT,
             max_flows: self.max_flows,
             max_requests: self.max_requests,
             max_flow_requests: self.max_requests,
+            ..Net::new("section-1", NetKind::UdpRange { start_port: START_PORT })
         };
         let mapping = |node_address| Mapping {
             net: NetId(0),
@@ -132,10 +129,6 @@ impl Effects for NoSockets {
     fn has_upstream_port(&self, port: u16) -> bool {
         usize::from(port) < self.open
     }
-
-    fn flow_opened(&mut self, _: &Table, _: &FlowRecord) {}
-
-    fn flow_closed(&mut self, _: &Table, _: &FlowRecord, _: CloseReason) {}
 }
 
 impl Rig {

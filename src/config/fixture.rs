@@ -65,18 +65,7 @@ pub(crate) fn large_table(nets: u16) -> Arc<Table> {
 }
 
 fn net(name: &str, kind: NetKind) -> Net {
-    Net {
-        name: name.to_owned(),
-        kind,
-        allow: vec!["198.51.100.0/24".parse().unwrap()],
-        credentials: Vec::new(),
-        allow_without_password: false,
-        require_response_password: false,
-        idle_timeout: Duration::from_secs(300),
-        max_flows: 4096,
-        max_requests: None,
-        max_flow_requests: None,
-    }
+    Net { allow: vec!["198.51.100.0/24".parse().unwrap()], max_flows: 4096, ..Net::new(name, kind) }
 }
 
 fn credentials() -> Vec<Credential> {

@@ -1,4 +1,4 @@
-//! What stands around the core: sockets and the log.
+//! What the core asks of the world around it: sockets, the system's routes, and the audit log.
 
 use std::net::SocketAddr;
 
@@ -9,35 +9,44 @@ use super::reason::CloseReason;
 use super::table::Table;
 use super::throttle::Throttled;
 
-/// What the core asks of the world around it. Called when flows open and close and when throttling
-/// begins and ends, not for each datagram.
+/// What the core asks of the world around it. It is called when a flow opens or closes and when
+/// throttling begins or ends, not for each datagram. Where nothing is said, a method does nothing.
 pub trait Effects {
-    /// Opens the upstream socket `id` for IPv4 or IPv6 servers and tells its local port; none when
-    /// no socket can be had. A client of this net needs it; it may serve others' too.
+    /// Opens the upstream socket `id` for IPv4 or IPv6 servers and returns its local port; none when
+    /// no socket is free. A client of `net` needs it, but it may serve clients of other nets too.
     fn open_upstream(&mut self, id: UpstreamId, net: NetId, ipv4: bool) -> Option<u16>;
+
     /// Closes the upstream socket `id`.
     fn close_upstream(&mut self, id: UpstreamId);
-    /// Whether an upstream socket, of whichever worker, has this port.
+
+    /// Whether an upstream socket of any worker has this port. By default, none has.
     fn has_upstream_port(&self, _port: u16) -> bool {
         false
     }
-    /// Whether this address is one of the router's own. Asked of those that
-    /// [have an upstream port](Self::has_upstream_port), when a flow is about to be opened.
+
+    /// Whether this address is one of the router's own. Asked before a flow is opened, and only about
+    /// clients whose port an [upstream socket has](Self::has_upstream_port). By default, it is not.
     fn is_own_address(&mut self, _address: SocketAddr) -> bool {
         false
     }
-    /// Whether the system could send an answer to this client: no where its address is a subnet's
-    /// broadcast, or no route leads there. Asked when a flow is about to be opened.
+
+    /// Whether the system could send an answer to this client: not if the address is a subnet's
+    /// broadcast address, or no route leads there. Asked before a flow is opened. By default, it could.
     fn can_answer(&mut self, _arrival: &Arrival) -> bool {
         true
     }
+
     /// A flow of this table was opened (N-10).
-    fn flow_opened(&mut self, table: &Table, flow: &FlowRecord);
-    /// A flow was closed (N-10), of a table that may not be in force any more.
-    fn flow_closed(&mut self, table: &Table, flow: &FlowRecord, reason: CloseReason);
-    /// A sender, or an address, sent too many wrong passwords: its request to this public port was
-    /// the first to be refused. A stranger brings this about, and one with many addresses often.
+    fn flow_opened(&mut self, _table: &Table, _flow: &FlowRecord) {}
+
+    /// A flow was closed (N-10). Its table may not be in force any more.
+    fn flow_closed(&mut self, _table: &Table, _flow: &FlowRecord, _reason: CloseReason) {}
+
+    /// A sender, or an address as a whole, sent too many wrong passwords, and a request of it to this
+    /// public port was refused for the first time. Strangers cause this, and one with many addresses
+    /// causes it often.
     fn throttling_begun(&mut self, _throttled: &Throttled, _mapping: MappingId) {}
-    /// All wrong passwords of a sender, or of an address, are forgiven, or it was pushed out by others.
+
+    /// Throttling is over: all wrong passwords are forgiven, or others took the place in the table.
     fn throttling_ended(&mut self, _throttled: &Throttled) {}
 }

@@ -54,6 +54,23 @@ pub struct Net {
 }
 
 impl Net {
+    /// A net that no client may use yet: it has no networks and no passwords. Flows end after five
+    /// minutes (RFC 4787 REQ-5 recommends them), and nothing has a limit.
+    pub fn new(name: impl Into<String>, kind: NetKind) -> Self {
+        Self {
+            name: name.into(),
+            kind,
+            allow: Vec::new(),
+            credentials: Vec::new(),
+            allow_without_password: false,
+            require_response_password: false,
+            idle_timeout: Duration::from_secs(5 * 60),
+            max_flows: u32::MAX,
+            max_requests: None,
+            max_flow_requests: None,
+        }
+    }
+
     /// Index of the credential with this password. Every password of the net is compared, so that
     /// the time taken tells nothing about any of them.
     #[inline]

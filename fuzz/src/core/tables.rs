@@ -36,16 +36,13 @@ fn table(variant: u8, section_flows: u32, rate: Option<RequestRate>) -> Table {
     let near = if differs(0) { "198.51.100.0/29" } else { "198.51.100.0/24" };
     let allow = vec![near.parse().unwrap(), "2001:db8::/64".parse().unwrap()];
     let net = |name: &str, kind, credentials, idle_timeout, max_flows| Net {
-        name: name.into(),
-        kind,
         allow: allow.clone(),
         credentials,
-        allow_without_password: false,
-        require_response_password: false,
         idle_timeout: Duration::from_secs(idle_timeout),
         max_flows,
         max_requests: rate,
         max_flow_requests: rate.map(|_| RequestRate::new(1)),
+        ..Net::new(name, kind)
     };
     let device = if differs(1) { b"device!!" } else { b"device-2" };
     let mut passwords = vec![credential(b"service!", None), credential(b"rotated!", Some(device))];

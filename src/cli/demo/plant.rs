@@ -78,20 +78,15 @@ impl Plant {
     /// What the relay in front of the plant works from.
     pub(super) fn config(&self, admin: SocketAddr) -> Config {
         let net = Net {
-            name: "demo".into(),
-            kind: NetKind::UdpRange { start_port: self.start_port },
             allow: vec!["127.0.0.0/8".parse().expect("a network")],
             credentials: vec![Credential {
                 name: "demo".into(),
                 password: self.password.clone(),
                 device_password: None,
             }],
-            allow_without_password: false,
             require_response_password: true,
-            idle_timeout: Duration::from_secs(300),
             max_flows: 64,
-            max_requests: None,
-            max_flow_requests: None,
+            ..Net::new("demo", NetKind::UdpRange { start_port: self.start_port })
         };
         let mapping = |node: &PlantNode| Mapping {
             net: NetId(0),

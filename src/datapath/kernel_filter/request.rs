@@ -162,8 +162,8 @@ mod tests {
 
     use super::*;
     use crate::nat::{
-        Arrival, Chance, CloseReason, Core, Counters, Credential, Effects, FlowRecord, Limits,
-        ListenerId, Mapping, MappingId, NetKind, Rules, ToServer, UpstreamId,
+        Arrival, Chance, Core, Counters, Credential, Effects, Limits, ListenerId, Mapping,
+        MappingId, NetKind, Rules, ToServer, UpstreamId,
     };
 
     fn net(passwords: &[[u8; 8]], allow_without_password: bool) -> Net {
@@ -173,16 +173,10 @@ mod tests {
             device_password: None,
         };
         Net {
-            name: "section-1".into(),
-            kind: NetKind::UdpRange { start_port: 40_000 },
             allow: vec!["0.0.0.0/0".parse().unwrap()],
             credentials: passwords.iter().map(credential).collect(),
             allow_without_password,
-            require_response_password: false,
-            idle_timeout: Duration::from_secs(300),
-            max_flows: 10,
-            max_requests: None,
-            max_flow_requests: None,
+            ..Net::new("section-1", NetKind::UdpRange { start_port: 40_000 })
         }
     }
 
@@ -224,8 +218,6 @@ mod tests {
             Some(50_000)
         }
         fn close_upstream(&mut self, _: UpstreamId) {}
-        fn flow_opened(&mut self, _: &Table, _: &FlowRecord) {}
-        fn flow_closed(&mut self, _: &Table, _: &FlowRecord, _: CloseReason) {}
     }
 
     impl Judge {

@@ -60,7 +60,6 @@ pub(in crate::datapath) fn program(table: &Table) -> io::Result<Program> {
 #[cfg(test)]
 mod tests {
     use std::net::{SocketAddr, UdpSocket};
-    use std::time::Duration;
 
     use socket2::SockRef;
 
@@ -69,18 +68,7 @@ mod tests {
     use crate::pnet::wire::Header;
 
     fn net(kind: NetKind) -> Net {
-        Net {
-            name: String::new(),
-            kind,
-            allow: Vec::new(),
-            credentials: Vec::new(),
-            allow_without_password: true,
-            require_response_password: false,
-            idle_timeout: Duration::from_secs(300),
-            max_flows: 10,
-            max_requests: None,
-            max_flow_requests: None,
-        }
+        Net { allow_without_password: true, ..Net::new("", kind) }
     }
 
     fn mapping(net: u16, server: SocketAddr) -> Mapping {

@@ -3,126 +3,54 @@
 //!
 //! Their datagrams are well-formed, so that nothing but the rule under test can refuse them.
 
-use std::collections::BTreeSet;
-use std::net::{IpAddr, SocketAddr, SocketAddrV6};
-use std::sync::Arc;
+use std::net::{SocketAddr, SocketAddrV6};
 use std::time::{Duration, Instant};
 
-use crate::pnet::wire::{DlRoute, Header, Password};
-
+use super::fixture::*;
 use crate::nat::*;
+use crate::pnet::wire::Password;
 
-const SERVICE: &[u8; 8] = b"service!";
+const SERVICE: &[u8; 8] = PASSWORD;
 const OTHER: &[u8; 8] = b"another!";
 const WRONG: &[u8; 8] = b"guessed!";
-const PUBLIC: &str = "192.0.2.1";
-const CLIENT: &str = "198.51.100.7:50000";
-/// The kernel has no way to these, or would have to broadcast.
-const NO_WAY: [&str; 2] = ["198.51.100.255", "203.0.113.9"];
-
-/// As many sockets as are asked for.
-#[derive(Default)]
-struct Sockets {
-    opened: u16,
-    looked_for: usize,
-}
-
-impl Effects for Sockets {
-    fn open_upstream(&mut self, _: UpstreamId, _: NetId, _: bool) -> Option<u16> {
-        self.opened += 1;
-        Some(50_000 + self.opened)
-    }
-
-    fn close_upstream(&mut self, _: UpstreamId) {}
-
-    fn can_answer(&mut self, arrival: &Arrival) -> bool {
-        self.looked_for += 1;
-        !NO_WAY.contains(&arrival.client.ip().to_string().as_str())
-    }
-
-    fn flow_opened(&mut self, _: &Table, _: &FlowRecord) {}
-
-    fn flow_closed(&mut self, _: &Table, _: &FlowRecord, _: CloseReason) {}
-}
 
 /// A relay with one net, and the time.
 struct World {
-    core: Core,
-    rules: Rules,
-    counters: Arc<Counters>,
-    effects: Sockets,
+    worker: Worker,
     now: Instant,
 }
 
-/// One net with node 4; `change` makes it the scenario's.
+/// The fixture's net with a second password, as `change` makes it.
 fn rules(change: impl FnOnce(&mut Net)) -> Rules {
-    let credential = |name: &str, password: &[u8; 8]| Credential {
-        name: name.into(),
-        password: Password::new(*password),
-        device_password: None,
-    };
-    let mut net = Net {
-        name: "section-1".into(),
-        kind: NetKind::UdpRange { start_port: 40_000 },
-        allow: vec!["0.0.0.0/0".parse().unwrap(), "::/0".parse().unwrap()],
-        credentials: vec![credential("service", SERVICE), credential("other", OTHER)],
-        allow_without_password: false,
-        require_response_password: false,
-        idle_timeout: Duration::from_secs(300),
-        max_flows: 100,
-        max_requests: None,
-        max_flow_requests: None,
-    };
+    let mut net = net();
+    net.credentials.push(credential("other", OTHER, None));
     change(&mut net);
-    let mapping = Mapping {
-        net: NetId(0),
-        node_address: 4,
-        public_port: 40_004,
-        server: "172.17.17.4:34379".parse().unwrap(),
-    };
     let limits = Limits {
-        max_flows: 1000,
         wrong_password_burst: 3,
         wrong_password_address_burst: 6,
         wrong_password_interval: Duration::from_secs(3600),
+        ..LIMITS
     };
-    Rules::new(Arc::new(Table::new(Header::default(), vec![net], vec![mapping])), limits)
-}
-
-/// A request to node 4, and just as well its answer.
-fn octets(password: &[u8]) -> Vec<u8> {
-    let route = DlRoute::new(&[11, 4, 2], &[11, 3]).unwrap().to_route().unwrap();
-    let mut octets = Header::default().0.to_vec();
-    octets.extend(route.as_route().as_bytes());
-    octets.extend([0x02, 0]);
-    octets.extend(password);
-    octets
+    Rules::new(table(vec![net], vec![node_4()]), limits)
 }
 
 impl World {
     fn new(change: impl FnOnce(&mut Net)) -> Self {
-        let rules = rules(change);
-        let counters = Arc::new(Counters::new(&rules.table));
         let now = Instant::now();
-        let random = Chance::from_seed(1);
-        let core = Core::new(rules.clone(), Arc::clone(&counters), now, random);
-        Self { core, rules, counters, effects: Sockets::default(), now }
+        // The system has no route to the one, and would have to broadcast to the other.
+        let sockets = Sockets { no_way: &["203.0.113.9", "198.51.100.255"], ..Sockets::default() };
+        Self { worker: Worker::new(&rules(change), now, 1, sockets), now }
     }
 
-    /// A request that nobody sends on yet.
+    /// A request that the relay has not sent yet.
     fn ask_from(
         &mut self,
         client: SocketAddr,
         public: &str,
         password: &[u8; 8],
     ) -> Result<ToServer, DropReason> {
-        let arrival = Arrival {
-            listener: ListenerId(0),
-            mapping: MappingId(0),
-            public_address: public.parse::<IpAddr>().unwrap(),
-            client,
-        };
-        self.core.request(self.now, &arrival, &mut octets(password), &mut self.effects)
+        let arrival = Arrival { public_address: public.parse().unwrap(), ..arrival(client) };
+        self.worker.request(self.now, &arrival, &mut request(password))
     }
 
     fn ask(&mut self, client: &str, password: &[u8; 8]) -> Result<ToServer, DropReason> {
@@ -132,39 +60,31 @@ impl World {
     }
 
     fn sent(&mut self, to: ToServer) {
-        self.core.request_sent(self.now, MappingId(0), to.asks, 24);
+        self.worker.core.request_sent(self.now, MappingId(0), to.asks, 24);
     }
 
-    /// An answer of the node: what the client gets of it.
+    /// What the client receives of an answer of the node.
     fn answer(&mut self, to: ToServer, password: &[u8; 8]) -> Result<Vec<u8>, DropReason> {
-        let mut octets = octets(password);
-        let back = self.core.response(self.now, to.via, to.server, &mut octets)?;
+        let mut octets = response(password);
+        let back = self.worker.core.response(self.now, to.via, to.server, &mut octets)?;
         assert_eq!(back.client, CLIENT.parse().unwrap());
         Ok(octets)
     }
 
-    /// Goes over to other rules; those of its start, with a change.
+    /// Puts other rules in force: those of the start with this change.
     fn reload(&mut self, change: impl FnOnce(&mut Net)) {
-        let next = rules(change);
-        let was = self.rules.clone();
-        let rules = was.followed_by(next.table, next.limits);
-        let counters = Arc::new(self.counters.followed_by(&was.table, &rules.table));
-        let transition = Arc::new(Transition::new(&was, &rules, BTreeSet::new()));
-        (self.rules, self.counters) = (rules.clone(), Arc::clone(&counters));
-        let succession = Succession { rules, counters, transition };
-        self.core.reload(self.now, succession, &mut self.effects);
-    }
-
-    fn expire(&mut self) {
-        while self.core.expire(self.now, &mut self.effects) {}
+        let Rules { table, limits, .. } = rules(change);
+        let next = self.worker.rules.followed_by(table, limits);
+        let next = self.worker.succession(&next, &Default::default());
+        self.worker.reload(self.now, next);
     }
 
     fn flows(&self) -> usize {
-        self.core.flows(self.now).count()
+        self.worker.flows(self.now)
     }
 
     fn node(&self) -> &NodeCounters {
-        self.counters.node(MappingId(0))
+        self.worker.counters.node(MappingId(0))
     }
 }
 
@@ -213,29 +133,29 @@ fn an_address_of_a_link_is_for_that_link() {
 fn strangers_have_no_way_looked_for() {
     let mut world = World::new(|_| {});
     assert_eq!(world.ask("198.51.100.255:7", WRONG), Err(DropReason::PasswordWrong));
-    assert_eq!(world.effects.looked_for, 0);
+    assert_eq!(world.worker.effects.looked_for, 0);
     (0..3).for_each(|_| assert!(world.ask(CLIENT, SERVICE).is_ok()));
-    assert_eq!(world.effects.looked_for, 1);
+    assert_eq!(world.worker.effects.looked_for, 1);
 }
 
 #[test]
 fn what_was_not_sent_was_not_asked() {
     let mut world = World::new(|_| {});
     world.ask(CLIENT, SERVICE).unwrap();
-    world.core.send_failed(MappingId(0), Direction::Request);
+    world.worker.core.send_failed(MappingId(0), Direction::Request);
     let asked =
         |world: &World| (world.node().last_request.get(), world.node().unanswered_since.get());
     assert_eq!(asked(&world), (0, 0));
-    assert!(!world.core.awaits_answers(world.now), "nothing to wait for at the end");
+    assert!(!world.worker.core.awaits_answers(world.now), "nothing to wait for at the end");
 
     // The response time is that of the one that was sent.
     world.now += Duration::from_secs(2);
     let to = world.ask(CLIENT, SERVICE).unwrap();
     world.sent(to);
-    assert!(world.core.awaits_answers(world.now));
+    assert!(world.worker.core.awaits_answers(world.now));
     assert_ne!(asked(&world), (0, 0));
     world.now += Duration::from_millis(3);
-    world.core.response(world.now, to.via, to.server, &mut octets(SERVICE)).unwrap();
+    world.worker.core.response(world.now, to.via, to.server, &mut response(SERVICE)).unwrap();
     let nanos: u64 = world.node().response_times.buckets().map(|(_, nanos)| nanos).sum();
     assert_eq!(Duration::from_nanos(nanos), Duration::from_millis(3));
 }
@@ -263,8 +183,8 @@ fn who_holds_another_password_of_the_net() {
         let forged = world.ask(CLIENT, OTHER).unwrap();
         assert_eq!(forged, to, "on the client's own flow");
         world.sent(forged);
-        assert_eq!(world.answer(to, SERVICE), Ok(octets(SERVICE)));
-        assert_eq!(world.answer(to, OTHER), Ok(octets(OTHER)));
+        assert_eq!(world.answer(to, SERVICE), Ok(response(SERVICE)));
+        assert_eq!(world.answer(to, OTHER), Ok(response(OTHER)));
         assert_eq!(world.answer(to, WRONG), Err(DropReason::PasswordMismatch));
     }
 }
@@ -293,7 +213,7 @@ fn who_changes_ports_for_each_request() {
     });
     assert_eq!(passed.count(), 9, "as many as the net has room for");
     assert_eq!(world.flows(), 10);
-    assert_eq!(world.answer(to, SERVICE), Ok(octets(SERVICE)));
+    assert_eq!(world.answer(to, SERVICE), Ok(response(SERVICE)));
     assert_eq!(world.ask(CLIENT, SERVICE), Ok(to), "an open flow is served all the same");
     assert_eq!(
         world.ask("198.51.100.8:1", SERVICE),
@@ -317,14 +237,14 @@ fn a_client_that_changes_its_password_loses_no_answer() {
         world.sent(to);
     }
     let to = world.ask(CLIENT, OTHER).unwrap();
-    assert_eq!(world.answer(to, b"device-1"), Ok(octets(SERVICE)));
-    assert_eq!(world.answer(to, b"device-2"), Ok(octets(OTHER)));
+    assert_eq!(world.answer(to, b"device-1"), Ok(response(SERVICE)));
+    assert_eq!(world.answer(to, b"device-2"), Ok(response(OTHER)));
     // One password at the devices: the latest of the client's is its answer's.
     let mut world = World::new(|net| (0..2).for_each(|at| device(net, at, b"device-1")));
     for password in [OTHER, SERVICE] {
         let to = world.ask(CLIENT, password).unwrap();
         world.sent(to);
-        assert_eq!(world.answer(to, b"device-1"), Ok(octets(password)));
+        assert_eq!(world.answer(to, b"device-1"), Ok(response(password)));
     }
 }
 
@@ -335,9 +255,9 @@ fn a_reload_keeps_what_is_left_of_a_flows_passwords() {
     world.ask(CLIENT, OTHER).unwrap();
     let to = world.ask(CLIENT, SERVICE).unwrap();
     world.reload(|net| net.credentials.reverse());
-    assert_eq!(world.answer(to, OTHER), Ok(octets(OTHER)));
+    assert_eq!(world.answer(to, OTHER), Ok(response(OTHER)));
     world.reload(|net| drop(net.credentials.remove(1)));
-    assert_eq!(world.answer(to, SERVICE), Ok(octets(SERVICE)));
+    assert_eq!(world.answer(to, SERVICE), Ok(response(SERVICE)));
     assert_eq!(world.answer(to, OTHER), Err(DropReason::PasswordMismatch));
 }
 
@@ -363,7 +283,7 @@ fn who_guesses_under_the_address_of_a_client() {
     assert_eq!(guesses.count(), 6);
     assert_eq!(world.ask(&stranger(200), SERVICE), Err(DropReason::Throttled));
     world.now += Duration::from_secs(24 * 3600 + 120);
-    world.expire();
+    world.worker.expire(world.now);
     assert!(guess(&mut world) < 10, "forgotten");
     assert_eq!(world.ask(&from(3000), SERVICE), Err(DropReason::Throttled));
 }

@@ -6,35 +6,8 @@ use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use crate::pnet::wire::{DlRoute, Header, Password};
-
+use super::fixture::*;
 use crate::nat::*;
-
-const PASSWORD: &[u8; 8] = b"service!";
-const SERVER: &str = "172.17.17.4:34379";
-
-/// Sockets without end, and what is told of flows.
-#[derive(Default)]
-struct Sockets {
-    closed: Vec<(u16, CloseReason)>,
-    closed_sockets: Vec<UpstreamId>,
-}
-
-impl Effects for Sockets {
-    fn open_upstream(&mut self, id: UpstreamId, _: NetId, _: bool) -> Option<u16> {
-        Some(50_000 + id.0 as u16)
-    }
-
-    fn close_upstream(&mut self, id: UpstreamId) {
-        self.closed_sockets.push(id);
-    }
-
-    fn flow_opened(&mut self, _: &Table, _: &FlowRecord) {}
-
-    fn flow_closed(&mut self, table: &Table, flow: &FlowRecord, reason: CloseReason) {
-        self.closed.push((table.mapping(flow.mapping).public_port, reason));
-    }
-}
 
 /// What differs between the configurations.
 #[derive(Clone, Copy)]
@@ -58,50 +31,14 @@ const SITE: Site = Site {
 impl Site {
     fn table(self) -> Arc<Table> {
         let net = Net {
-            name: "section-1".into(),
-            kind: NetKind::Server,
-            allow: vec!["0.0.0.0/0".parse().unwrap()],
-            credentials: vec![Credential {
-                name: "service".into(),
-                password: Password::new(*self.password),
-                device_password: None,
-            }],
-            allow_without_password: false,
-            require_response_password: false,
-            idle_timeout: Duration::from_secs(300),
+            credentials: vec![credential("service", self.password, None)],
             max_flows: self.max_flows,
             max_requests: self.max_requests.map(RequestRate::new),
-            max_flow_requests: None,
+            ..net()
         };
-        let mapping = Mapping {
-            net: NetId(0),
-            node_address: 4,
-            public_port: self.public_port,
-            server: SERVER.parse().unwrap(),
-        };
-        let other = Mapping {
-            node_address: 5,
-            public_port: self.other_port,
-            server: "172.17.17.5:34379".parse().unwrap(),
-            ..mapping
-        };
-        Arc::new(Table::new(Header::default(), vec![net], vec![mapping, other]))
+        let node = Mapping { public_port: self.public_port, ..node_4() };
+        table(vec![net], vec![node, mapping(0, 5, self.other_port, "172.17.17.5:34379")])
     }
-
-    fn limits(self) -> Limits {
-        Limits {
-            max_flows: 1000,
-            wrong_password_burst: 100,
-            wrong_password_address_burst: 10_000,
-            wrong_password_interval: Duration::from_secs(1),
-        }
-    }
-}
-
-struct Worker {
-    core: Core,
-    counters: Arc<Counters>,
-    sockets: Sockets,
 }
 
 /// Workers that share their rules.
@@ -114,38 +51,21 @@ struct Router {
 impl Router {
     fn new(workers: usize, site: Site) -> Self {
         let now = Instant::now();
-        let rules = Rules::new(site.table(), site.limits());
-        let worker = |seed| {
-            let counters = Arc::new(Counters::new(&rules.table));
-            let chance = Chance::from_seed(seed);
-            let core = Core::new(rules.clone(), Arc::clone(&counters), now, chance);
-            Worker { core, counters, sockets: Sockets::default() }
-        };
+        let rules = Rules::new(site.table(), LIMITS);
+        let worker = |seed| Worker::new(&rules, now, seed, Sockets::default());
         let workers = (0..workers as u64).map(worker).collect();
         Self { now, rules, workers }
     }
 
     /// What each worker is to go over to.
     fn next(&mut self, site: Site, gone: &[ListenerId]) -> Vec<Succession> {
-        let rules = self.rules.followed_by(site.table(), site.limits());
+        self.rules = self.rules.followed_by(site.table(), LIMITS);
         let gone: BTreeSet<_> = gone.iter().copied().collect();
-        let transition = Arc::new(Transition::new(&self.rules, &rules, gone));
-        let before = std::mem::replace(&mut self.rules, rules);
-        let succession = |worker: &Worker| {
-            let counters = worker.counters.followed_by(&before.table, &self.rules.table);
-            Succession {
-                rules: self.rules.clone(),
-                counters: Arc::new(counters),
-                transition: Arc::clone(&transition),
-            }
-        };
-        self.workers.iter().map(succession).collect()
+        self.workers.iter().map(|worker| worker.succession(&self.rules, &gone)).collect()
     }
 
     fn go_over(&mut self, worker: usize, next: Succession) {
-        let Worker { core, counters, sockets } = &mut self.workers[worker];
-        *counters = Arc::clone(&next.counters);
-        core.reload(self.now, next, sockets);
+        self.workers[worker].reload(self.now, next);
     }
 
     /// A request to the public port.
@@ -155,37 +75,24 @@ impl Router {
         client: u16,
         password: &[u8; 8],
     ) -> Result<ToServer, DropReason> {
-        let route = DlRoute::new(&[11, 4, 2], &[11, 3]).unwrap().to_route().unwrap();
-        let mut octets = Header::default().0.to_vec();
-        octets.extend(route.as_route().as_bytes());
-        octets.extend([0x02, 0]);
-        octets.extend(password);
-        let arrival = Arrival {
-            listener: ListenerId(0),
-            mapping: MappingId(0),
-            public_address: "192.0.2.1".parse().unwrap(),
-            client: SocketAddr::new("198.51.100.7".parse().unwrap(), client),
-        };
-        let Worker { core, sockets, .. } = &mut self.workers[worker];
-        let to = core.request(self.now, &arrival, &mut octets, sockets)?;
-        core.request_sent(self.now, MappingId(0), to.asks, octets.len());
+        let arrival = arrival(SocketAddr::new("198.51.100.7".parse().unwrap(), client));
+        let mut octets = request(password);
+        let worker = &mut self.workers[worker];
+        let to = worker.request(self.now, &arrival, &mut octets)?;
+        worker.core.request_sent(self.now, MappingId(0), to.asks, octets.len());
         Ok(to)
     }
 
     fn answer(&mut self, worker: usize, to: ToServer) -> Result<ToClient, DropReason> {
-        let route = DlRoute::new(&[3, 2], &[4, 11]).unwrap().to_route().unwrap();
-        let mut octets = Header::default().0.to_vec();
-        octets.extend(route.as_route().as_bytes());
-        octets.extend([0x02, 0]);
-        self.workers[worker].core.response(self.now, to.via, to.server, &mut octets)
+        self.workers[worker].core.response(self.now, to.via, to.server, &mut response(b""))
     }
 
     /// Whether sockets are about to be closed and are not yet.
     fn close_left(&mut self, worker: usize) -> bool {
-        let Worker { core, sockets, .. } = &mut self.workers[worker];
+        let Worker { core, effects, .. } = &mut self.workers[worker];
         loop {
             let before = core.leaving.len();
-            let others = core.close_left(self.now, sockets);
+            let others = core.close_left(self.now, effects);
             core.check_invariants(self.now);
             if core.leaving.len() == before {
                 return others;
@@ -194,16 +101,16 @@ impl Router {
     }
 
     fn flows(&self, worker: usize) -> usize {
-        self.workers[worker].core.flows(self.now).count()
+        self.workers[worker].flows(self.now)
     }
 
     /// Goes over to the end, and tells how many flows that closed and in how many steps.
     fn settle(&mut self, worker: usize) -> (usize, usize) {
-        let Worker { core, sockets, .. } = &mut self.workers[worker];
+        let worker = &mut self.workers[worker];
         let mut steps = 1;
         loop {
-            core.check_invariants(self.now);
-            match core.go_over(self.now, sockets) {
+            worker.core.check_invariants(self.now);
+            match worker.go_over(self.now) {
                 Some(closed) => return (closed, steps),
                 None => steps += 1,
             }
@@ -231,8 +138,8 @@ fn the_flow_limit_holds_while_one_worker_goes_over_after_the_other() {
 
     // What is given up is free for both.
     let now = router.now;
-    let Worker { core, sockets, .. } = &mut router.workers[0];
-    core.shut_down(now, sockets);
+    let Worker { core, effects, .. } = &mut router.workers[0];
+    core.shut_down(now, effects);
     for client in 1..=50 {
         router.request(1, 2000 + client, PASSWORD).unwrap();
     }
@@ -284,8 +191,8 @@ fn what_is_withdrawn_is_so_at_once_and_closed_in_its_turn() {
     let (closed, steps) = router.settle(0);
     assert_eq!(closed, 10, "those that a request found first are among them");
     assert!(steps >= 4, "a few at a time, not in {steps} steps");
-    let Worker { sockets, counters, .. } = &router.workers[0];
-    assert_eq!(sockets.closed, vec![(40_004, CloseReason::PasswordWithdrawn); 10]);
+    let Worker { effects, counters, .. } = &router.workers[0];
+    assert_eq!(effects.closed, vec![(40_004, CloseReason::PasswordWithdrawn); 10]);
     assert_eq!(counters.net(NetId(0)).flows_closed(CloseReason::PasswordWithdrawn).get(), 10);
     assert_eq!((counters.net(NetId(0)).flows.get(), router.flows(0)), (1, 1));
 }
@@ -300,7 +207,7 @@ fn a_flow_does_not_move_to_a_socket_that_took_the_place_of_its_own() {
     assert_eq!((router.flows(0), router.answer(0, to)), (0, Err(DropReason::UnknownFlow)));
     router.request(0, 1, PASSWORD).unwrap();
     assert_eq!(router.settle(0).0, 1);
-    assert_eq!(router.workers[0].sockets.closed, [(40_004, CloseReason::MappingRemoved)]);
+    assert_eq!(router.workers[0].effects.closed, [(40_004, CloseReason::MappingRemoved)]);
     assert_eq!(router.flows(0), 1);
 }
 
@@ -321,13 +228,13 @@ fn the_last_answers_come_in_over_a_port_that_is_wanted() {
         let again = router.request(0, 1, PASSWORD).unwrap();
         assert_eq!(again.via == wanted.via, number == 0, "before its turn");
         assert_eq!(router.settle(0).0, 1);
-        assert_eq!(router.workers[0].sockets.closed.len(), number + 1);
+        assert_eq!(router.workers[0].effects.closed.len(), number + 1);
         assert_eq!(router.flows(0), 3);
         let to = router.request(0, number as u16 + 1, PASSWORD).unwrap();
         assert_eq!(to.via.0 as usize, 4 + number, "another port; and the flow limit holds");
         assert_eq!(router.flows(0), 4);
         assert!(router.close_left(0), "an answer is due");
-        assert_eq!(router.workers[0].sockets.closed_sockets.len(), number);
+        assert_eq!(router.workers[0].effects.closed_sockets.len(), number);
         if number == 0 {
             for _ in 0..2 {
                 assert!(router.close_left(0), "another answer is due");
@@ -338,12 +245,12 @@ fn the_last_answers_come_in_over_a_port_that_is_wanted() {
             router.now += Duration::from_secs(2);
         }
         assert!(!router.close_left(0), "nothing is in the way any more");
-        assert_eq!(router.workers[0].sockets.closed_sockets[number].0 as usize, number);
+        assert_eq!(router.workers[0].effects.closed_sockets[number].0 as usize, number);
         for to in &asked[..=number] {
             assert_eq!(router.answer(0, *to), Err(DropReason::UnknownFlow));
         }
     }
-    let closed = &router.workers[0].sockets.closed;
+    let closed = &router.workers[0].effects.closed;
     assert_eq!(*closed, [(40_004, CloseReason::PortWanted); 2], "and each is told of once");
 }
 
@@ -360,7 +267,7 @@ fn what_is_withdrawn_gets_no_last_answers() {
     assert_eq!(router.answer(0, to), Err(DropReason::UnknownFlow));
     assert_eq!(router.settle(0).0, 0, "it was closed by the first");
     assert!(!router.close_left(0));
-    assert_eq!(router.workers[0].sockets.closed, [(40_004, CloseReason::PortWanted)]);
+    assert_eq!(router.workers[0].effects.closed, [(40_004, CloseReason::PortWanted)]);
 }
 
 #[test]
@@ -372,7 +279,7 @@ fn a_reload_on_top_of_another_finishes_it_first() {
         router.go_over(0, next);
     }
     assert_eq!((router.flows(0), router.settle(0).0), (0, 0), "all were closed by the first");
-    assert_eq!(router.workers[0].sockets.closed.len(), 10);
+    assert_eq!(router.workers[0].effects.closed.len(), 10);
 }
 
 /// What is counted goes on, and the worker's figures are those that others read meanwhile.

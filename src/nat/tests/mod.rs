@@ -1,6 +1,7 @@
-//! The NAT as a whole: a simulation of everything that happens to it, and scenes played one by one.
+//! The NAT as a whole: a simulation of everything that happens to it, and scenarios played one by one.
 
 mod attackers;
+mod fixture;
 mod handover;
 mod silence;
 mod simulation;

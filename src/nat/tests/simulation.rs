@@ -14,9 +14,9 @@ use std::time::{Duration, Instant};
 
 use fastrand::Rng;
 
-use crate::pnet::wire::{DlRoute, Header, MAX_DATAGRAM, Password};
-
+use super::fixture::{Worker, credential, datagram, mapping};
 use crate::nat::*;
+use crate::pnet::wire::{Header, MAX_DATAGRAM, Password};
 
 const RUNS: u64 = 40;
 const STEPS: usize = 4_000;
@@ -141,15 +141,6 @@ impl Effects for FakeEffects {
     }
 }
 
-struct Worker {
-    core: Core,
-    counters: Arc<Counters>,
-    effects: FakeEffects,
-    rules: Rules,
-    /// What it has been told to go over to, and has not yet.
-    next: Option<Succession>,
-}
-
 struct World {
     rng: Rng,
     now: Instant,
@@ -161,7 +152,9 @@ struct World {
     lately: Vec<(Instant, Rules)>,
     /// When requests passed in the last second: of each net, and of each flow.
     passed: BTreeMap<Limited, Vec<Instant>>,
-    workers: Vec<Worker>,
+    workers: Vec<Worker<FakeEffects>>,
+    /// What each worker has been told to go over to, and has not yet.
+    next: Vec<Option<Succession>>,
     under_way: Vec<Asked>,
     /// Who used a (worker, upstream port, server) last, and when (N-9).
     users: BTreeMap<(usize, u16, SocketAddr), (SocketAddr, Instant)>,
@@ -181,26 +174,19 @@ fn table(rng: &mut Rng, wanted: Option<u16>) -> Table {
     let clients = if wide { "198.51.100.0/24" } else { "198.51.100.0/30" };
     // Around the plant, without naming it.
     let allow = vec![clients.parse().unwrap(), "172.16.0.0/12".parse().unwrap()];
-    let credential = |name: &str, password: &[u8; 8], device: Option<&[u8; 8]>| Credential {
-        name: name.into(),
-        password: Password::new(*password),
-        device_password: device.map(|octets| Password::new(*octets)),
-    };
     // Requests come in bursts of about ten.
     let mut rate = |most| rng.bool().then(|| RequestRate::new(rng.u32(1..=most)));
     let (max_requests, max_flow_requests) = (rate(6), rate(2));
     let idle_timeout = Duration::from_secs(if rng.u32(0..4) == 0 { 40 } else { 150 });
     let net = |name: &str, kind, credentials, require_response_password, max_flows| Net {
-        name: name.into(),
-        kind,
         allow: allow.clone(),
         credentials,
-        allow_without_password: false,
         require_response_password,
         idle_timeout,
         max_flows,
         max_requests,
         max_flow_requests,
+        ..Net::new(name, kind)
     };
     let mut range = vec![
         credential("service", b"service!", None),
@@ -214,12 +200,6 @@ fn table(rng: &mut Rng, wanted: Option<u16>) -> Table {
         _ => {}
     }
     let press = vec![credential("press", b"press!!!", None)];
-    let mapping = |net, node_address, public_port, server: &str| Mapping {
-        net: NetId(net),
-        node_address,
-        public_port,
-        server: server.parse().unwrap(),
-    };
     let mut mappings = vec![
         mapping(0, 1, 40_001, "172.17.17.1:34379"),
         mapping(0, 2, 40_002, "172.17.17.2:34379"),
@@ -255,27 +235,20 @@ impl World {
         let now = Instant::now();
         let limits = limits(&mut rng);
         let rules = Rules::new(Arc::new(table(&mut rng, None)), limits);
-        let workers = (0..2)
-            .map(|_| {
-                let counters = Arc::new(Counters::new(&rules.table));
-                let core = Core::new(
-                    rules.clone(),
-                    Arc::clone(&counters),
-                    now,
-                    Chance::from_seed(rng.u64(..)),
-                );
-                let effects = FakeEffects {
-                    rng: rng.fork(),
-                    limit: 8,
-                    ports: BTreeMap::new(),
-                    wanted: BTreeSet::new(),
-                    opened_flows: 0,
-                    closed_flows: 0,
-                    throttled: 0,
-                };
-                Worker { core, counters, effects, rules: rules.clone(), next: None }
-            })
-            .collect();
+        let workers = (0..2).map(|_| {
+            let seed = rng.u64(..);
+            let effects = FakeEffects {
+                rng: rng.fork(),
+                limit: 8,
+                ports: BTreeMap::new(),
+                wanted: BTreeSet::new(),
+                opened_flows: 0,
+                closed_flows: 0,
+                throttled: 0,
+            };
+            Worker::new(&rules, now, seed, effects)
+        });
+        let workers = workers.collect();
         Self {
             rng,
             now,
@@ -284,6 +257,7 @@ impl World {
             lately: Vec::new(),
             passed: BTreeMap::new(),
             workers,
+            next: vec![None, None],
             under_way: Vec::new(),
             users: BTreeMap::new(),
             next_number: 0,
@@ -336,14 +310,8 @@ impl World {
     /// A request in IP format with a number of its own in its data.
     fn datagram(&mut self, worker: usize, arrival: &Arrival, password: &[u8]) -> Vec<u8> {
         let node = self.workers[worker].rules.table.mapping(arrival.mapping).node_address;
-        let route = DlRoute::new(&[11, node, 2, 33], &[11, 3, 31]).unwrap().to_route().unwrap();
         self.next_number += 1;
-        let mut octets = Header::default().0.to_vec();
-        octets.extend(route.as_route().as_bytes());
-        octets.extend([0x02, 4]);
-        octets.extend(self.next_number.to_be_bytes());
-        octets.extend(password);
-        octets
+        datagram([&[11, node, 2, 33], &[11, 3, 31]], &self.next_number.to_be_bytes(), password)
     }
 
     fn good_request(&mut self) {
@@ -486,7 +454,7 @@ impl World {
             rate.map(|rate| (rate.per_second() as usize, passed.len()))
         });
         self.lately.retain(|(at, _)| self.now - *at < SECOND);
-        if self.lately.is_empty() && self.workers.iter().all(|worker| worker.next.is_none()) {
+        if self.lately.is_empty() && self.next.iter().all(Option::is_none) {
             let within = |&(rate, passed): &(usize, usize)| passed <= 2 * rate;
             assert!(rates.iter().flatten().all(within), "(rate, passed): {rates:?}");
             if verdict == Err(DropReason::RequestLimit) {
@@ -676,7 +644,7 @@ impl World {
 
     /// The operator brings a new configuration. The workers go over to it one after the other.
     fn reload(&mut self) {
-        while self.workers.iter().any(|worker| worker.next.is_some()) {
+        while self.next.iter().any(Option::is_some) {
             self.go_over();
         }
         for Worker { core, effects, .. } in &mut self.workers {
@@ -698,32 +666,26 @@ impl World {
             table.mappings().iter().copied().map(listener).collect()
         };
         let gone = listeners(old).difference(&listeners(new)).copied().collect();
-        let transition = Arc::new(Transition::new(&self.rules, &rules, gone));
-        for worker in &mut self.workers {
-            worker.next = Some(Succession {
-                rules: rules.clone(),
-                counters: Arc::new(worker.counters.followed_by(old, new)),
-                transition: Arc::clone(&transition),
-            });
-        }
+        let succession = |worker: &Worker<_>| Some(worker.succession(&rules, &gone));
+        self.next = self.workers.iter().map(succession).collect();
         self.rules = rules;
     }
 
     /// A worker goes over to the new configuration, or some more of its flows do.
     fn go_over(&mut self) {
-        let now = self.now;
-        let Worker { core, effects, counters, rules, next } =
-            self.rng.choice(&mut self.workers).unwrap();
-        let Some(next) = next.take() else {
-            core.go_over(now, effects);
+        let (now, index) = (self.now, self.rng.usize(0..self.workers.len()));
+        let worker = &mut self.workers[index];
+        let Some(next) = self.next[index].take() else {
+            worker.go_over(now);
             return;
         };
-        let before: Vec<_> = core.flows(now).map(|flow| lasting(&rules.table, &flow)).collect();
-        *counters = Arc::clone(&next.counters);
-        let old = std::mem::replace(rules, next.rules.clone());
-        core.reload(now, next, effects);
-        let new = &rules.table;
-        let after: Vec<_> = core.flows(now).map(|flow| lasting(new, &flow)).collect();
+        let old = worker.rules.clone();
+        let lasting = |worker: &Worker<_>| -> Vec<_> {
+            worker.core.flows(now).map(|flow| lasting(&worker.rules.table, &flow)).collect()
+        };
+        let before = lasting(worker);
+        worker.reload(now, next);
+        let (after, new) = (lasting(worker), &worker.rules.table);
         for flow in &before {
             assert_eq!(after.contains(flow), is_good(new, flow), "{flow:?}");
         }

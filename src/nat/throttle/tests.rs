@@ -1,7 +1,7 @@
 //! Who is let through and who is told of; what a crowd of strangers can do, and cannot.
 
 use super::*;
-use crate::nat::{CloseReason, FlowRecord, NetId, Table, UpstreamId};
+use crate::nat::{NetId, UpstreamId};
 use std::net::{Ipv4Addr, Ipv6Addr};
 
 const START: Nanos = 1;
@@ -26,8 +26,6 @@ impl Effects for Told {
         None
     }
     fn close_upstream(&mut self, _: UpstreamId) {}
-    fn flow_opened(&mut self, _: &Table, _: &FlowRecord) {}
-    fn flow_closed(&mut self, _: &Table, _: &FlowRecord, _: CloseReason) {}
     fn throttling_begun(&mut self, throttled: &Throttled, _: MappingId) {
         self.begun += 1;
         self.first_begun.get_or_insert(throttled.clone());
