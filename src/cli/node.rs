@@ -16,7 +16,7 @@ use super::password_file;
 use super::signals::Signals;
 use crate::config::NodeRange;
 use crate::peer::{NodeSettings, ServerNode, echo};
-use crate::pnet::wire::{Header, Password};
+use crate::pnet::wire::{Header, NORMAL_PORT, Password, SECURE_PORT};
 
 /// Run simulated P-NET server nodes that send back the data of each request.
 #[derive(Debug, clap::Args)]
@@ -37,11 +37,11 @@ pub(super) struct Args {
     listen: Vec<AddressRange>,
 
     /// UDP port that asks for the password.
-    #[arg(long, value_name = "PORT", default_value_t = 34379, env = "PNET_NAT_SECURE_PORT")]
+    #[arg(long, value_name = "PORT", default_value_t = SECURE_PORT, env = "PNET_NAT_SECURE_PORT")]
     secure_port: u16,
 
     /// UDP port that asks for no password.
-    #[arg(long, value_name = "PORT", default_value_t = 34378, env = "PNET_NAT_NORMAL_PORT")]
+    #[arg(long, value_name = "PORT", default_value_t = NORMAL_PORT, env = "PNET_NAT_NORMAL_PORT")]
     normal_port: u16,
 
     /// File with exactly the 8 octets of the password, closed to others (mode 600).

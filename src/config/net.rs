@@ -7,6 +7,7 @@ use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::time::Duration;
 
 use crate::nat::{Net, NetKind, RequestRate};
+use crate::pnet::wire::{BNA, NORMAL_PORT, SECURE_PORT, SNA};
 
 use super::address::{endpoint, is_a_host, is_link_local, network};
 use super::credentials::credentials;
@@ -14,12 +15,8 @@ use super::node_range::{LAST_NODE, NodeRange};
 use super::report::{SourceSpan, quoted};
 use super::toml_table::{Entry, LONGEST, Section};
 
-/// Where a server takes packages without a password (PAS 5.2.3, `p-net-local`).
-const NORMAL_PORT: u16 = 34378;
-/// Where a server takes packages with a password (PAS 5.2.3, `p-net-remote`).
-const SECURE_PORT: u16 = 34379;
 /// the node addresses of broadcasts, whose public ports stay closed.
-const BROADCASTS: [u16; 2] = [126, 127];
+const BROADCASTS: [u16; 2] = [BNA as u16, SNA as u16];
 /// A15: the highest start port whose last node still has a UDP port.
 const LAST_START_PORT: u16 = u16::MAX - LAST_NODE as u16;
 /// RFC 4787 REQ-5: a mapping lives at least this long.

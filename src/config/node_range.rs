@@ -3,8 +3,7 @@
 use std::ops::RangeInclusive;
 use std::str::FromStr;
 
-/// Node addresses go up to this (R-11, PAS 8 and 10).
-pub(super) const LAST_NODE: u8 = 125;
+pub(super) use crate::pnet::wire::LAST_NODE;
 
 /// One node address or a run of them, each within 1..=125 (R-11, PAS 8 and 10).
 #[derive(Clone, Debug, PartialEq, Eq)]

@@ -13,6 +13,7 @@ use toml::Spanned;
 use toml::de::{DeInteger, DeTable, DeValue};
 
 use super::report::{MISSING, Report, SourceSpan, Unknown, quoted, shortened};
+use crate::pnet::wire::SECURE_PORT;
 
 /// The longest time a setting can name: far beyond use, and safe to add to a clock.
 pub(super) const LONGEST: Duration = Duration::from_secs(24 * 60 * 60);
@@ -277,7 +278,7 @@ impl<'a> Entry<'a> {
     /// The port of the example, or P-NET's own.
     pub(super) fn example_port(&self) -> u16 {
         let example = self.example.trim_matches('"').parse::<std::net::SocketAddr>();
-        example.map_or(34379, |example| example.port())
+        example.map_or(SECURE_PORT, |example| example.port())
     }
 
     /// What to write instead.

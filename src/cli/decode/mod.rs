@@ -20,7 +20,7 @@ use anyhow::{Context, ensure};
 
 use super::complain;
 use super::output::{Format, out, print_json};
-use crate::pnet::wire::Header;
+use crate::pnet::wire::{Header, NORMAL_PORT, SECURE_PORT};
 use line::{Fields, Line, Locator};
 use row::InRow;
 
@@ -60,7 +60,7 @@ struct PortRange {
 
 impl PortRange {
     /// The Normal and the Secure port (PAS 11).
-    const P_NET: Self = Self { first: 34378, last: 34379 };
+    const P_NET: Self = Self { first: NORMAL_PORT, last: SECURE_PORT };
 
     fn contains(self, port: u16) -> bool {
         (self.first..=self.last).contains(&port)

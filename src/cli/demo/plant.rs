@@ -15,12 +15,10 @@ use crate::config::{Admin, Config, Runtime};
 use crate::listen::ListenError;
 use crate::nat::{Credential, Limits, Mapping, Net, NetId, NetKind, Table};
 use crate::peer::{NodeCounts, NodeSettings, ServerNode, Target};
-use crate::pnet::wire::{Header, MAX_DATA, Password};
+use crate::pnet::wire::{Header, MAX_DATA, NORMAL_PORT, Password, SECURE_PORT};
 
 /// Node addresses of the plant.
 const NODES: std::ops::RangeInclusive<u8> = 1..=4;
-const NORMAL_PORT: u16 = 34378;
-const SECURE_PORT: u16 = 34379;
 /// The relay's public address: loopback stands for the Internet.
 const PUBLIC: IpAddr = IpAddr::V4(Ipv4Addr::LOCALHOST);
 

@@ -15,6 +15,7 @@ use socket2::Socket;
 
 use crate::config::Config;
 use crate::nat::NetKind;
+use crate::pnet::wire::{NORMAL_PORT, SECURE_PORT, SNA};
 
 const WORDS: usize = 1 << 10;
 
@@ -25,10 +26,10 @@ const USUAL: RangeInclusive<u16> = 32_768..=60_999;
 const TRIES: usize = 128;
 
 /// P-NET's own ports: a node may be started on this host.
-const P_NET: RangeInclusive<u16> = 34_378..=34_379;
+const P_NET: RangeInclusive<u16> = NORMAL_PORT..=SECURE_PORT;
 
 /// The last port of a block, as seen from its start port: a broadcast address.
-const BLOCK_END: u16 = 127;
+const BLOCK_END: u16 = SNA as u16;
 
 /// The ports of the upstream sockets of all workers.
 #[derive(Debug)]

@@ -27,15 +27,17 @@
 //! # Ok::<(), pnet_nat::pnet::wire::DatagramError>(())
 //! ```
 
+mod address;
 mod datagram;
 mod dl_route;
 mod dlpdu;
 mod header;
 mod password;
-#[cfg(test)]
-mod properties;
 mod route;
+#[cfg(test)]
+mod tests;
 
+pub use address::{BNA, LAST_NODE, NCNA, NORMAL_PORT, SECURE_PORT, SNA};
 pub use datagram::{Datagram, DatagramError, DatagramRepr, EmitError, replace_password};
 pub use dl_route::{DlRoute, DlRouteError, Elements};
 pub use dlpdu::{DlpduType, Indication};
@@ -61,10 +63,3 @@ pub const MIN_DATAGRAM: usize = Header::LEN + MIN_ROUTE + CONTROL;
 pub const MIN_SECURE_DATAGRAM: usize = MIN_DATAGRAM + Password::LEN;
 /// Octets in the largest datagram: it has a password.
 pub const MAX_DATAGRAM: usize = Header::LEN + MAX_ROUTE + CONTROL + MAX_DATA + Password::LEN;
-
-/// Broadcast-Node-address: every node of the net (PAS 10).
-pub const BNA: u8 = 126;
-/// Service-Node-address: every node accepts it, as it does [`BNA`] (PAS 5.4.1.2 a).
-pub const SNA: u8 = 127;
-/// As the last source element: no confirmation is wanted (PAS 5.7.1.6).
-pub const NCNA: u8 = 0;
