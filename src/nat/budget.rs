@@ -11,7 +11,7 @@ use std::collections::HashMap;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering::Relaxed};
 
-use super::gcra::RequestRate;
+use super::gcra::Gcra;
 use super::ids::NetId;
 use super::table::{Limits, Net, Table};
 use super::time::Nanos;
@@ -36,7 +36,7 @@ struct NetBudget {
 #[derive(Clone, Debug)]
 struct Requests {
     paid_until: Arc<AtomicU64>,
-    rate: Option<RequestRate>,
+    rate: Option<Gcra>,
 }
 
 /// Places for one (socket, server) pair, in its net and in the router; given back when dropped.
@@ -138,7 +138,7 @@ impl Budget {
 
 impl NetBudget {
     fn new(net: &Net) -> Self {
-        let requests = Requests { paid_until: Arc::default(), rate: net.max_requests };
+        let requests = Requests { paid_until: Arc::default(), rate: net.max_requests.map(|rate| rate.gcra) };
         let pairs = Places::new(pairs(net.max_flows));
         Self { places: Places::new(net.max_flows), pairs, requests }
     }
@@ -147,7 +147,10 @@ impl NetBudget {
         Self {
             places: Places { limit: net.max_flows, ..self.places.clone() },
             pairs: Places { limit: pairs(net.max_flows), ..self.pairs.clone() },
-            requests: Requests { rate: net.max_requests, ..self.requests.clone() },
+            requests: Requests {
+                rate: net.max_requests.map(|rate| rate.gcra),
+                ..self.requests.clone()
+            },
         }
     }
 }

@@ -158,7 +158,7 @@ impl Core {
             None => 0,
             Some(rate) => {
                 let paid_until = open.map_or(0, |id| self.flows.get(id).paid_until);
-                rate.take(paid_until, now).ok_or(DropReason::RequestLimit)?
+                rate.gcra.take(paid_until, now).ok_or(DropReason::RequestLimit)?
             }
         };
         if self.rules.budget.take_request(net, now) {

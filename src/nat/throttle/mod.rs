@@ -18,6 +18,7 @@ use std::time::Duration;
 use foldhash::fast::SeedableRandomState;
 
 use super::effects::Effects;
+use super::gcra::Gcra;
 use super::ids::MappingId;
 use super::table::Limits;
 use super::time::Nanos;
@@ -42,7 +43,7 @@ pub(super) struct Throttle {
 #[derive(Debug)]
 struct Buckets {
     scope: ThrottleScope,
-    rate: Rate,
+    rate: Gcra,
     sets: Box<[[Offender; WAYS]]>,
     /// Who is throttled at each place of `sets`. Apart from them, for it is seldom looked at.
     throttled: Box<[[Option<Record>; WAYS]]>,
@@ -54,17 +55,6 @@ struct Offender {
     key: u64,
     /// When all its wrong passwords will be forgiven; in the past, the place is free.
     forgiven_at: Nanos,
-}
-
-/// How a bucket fills and drains, in nanoseconds.
-#[derive(Clone, Copy, Debug)]
-struct Rate {
-    /// What a wrong password costs.
-    interval: u64,
-    /// What may be owed at most when one more wrong password is still bearable.
-    bearable: u64,
-    /// The most that anybody can owe: the time until who guesses no more is forgiven all.
-    most: u64,
 }
 
 /// [`Throttled`], as the table keeps it.
@@ -89,7 +79,7 @@ impl Throttle {
     /// ones: it is kept as a time, and "24h" made "1s" would not let go of them for days.
     pub(super) fn set_limits(&mut self, limits: &Limits) {
         for buckets in [&mut self.addresses, &mut self.senders] {
-            buckets.rate = Rate::of(buckets.scope, limits);
+            buckets.rate = rate(buckets.scope, limits);
         }
         self.clamp_is_due = true;
     }
@@ -179,7 +169,7 @@ impl Buckets {
     fn new(scope: ThrottleScope, limits: &Limits) -> Self {
         Self {
             scope,
-            rate: Rate::of(scope, limits),
+            rate: rate(scope, limits),
             sets: vec![[Offender::default(); WAYS]; SETS].into_boxed_slice(),
             throttled: vec![[None; WAYS]; SETS].into_boxed_slice(),
             throttled_now: 0,
@@ -190,7 +180,7 @@ impl Buckets {
     #[inline]
     fn bear(&self, now: Nanos, key: u64) -> bool {
         self.sets[set(key)].iter().all(|offender| {
-            offender.key != key || offender.forgiven_at.saturating_sub(now) <= self.rate.bearable
+            offender.key != key || self.rate.has_token(offender.forgiven_at, now)
         })
     }
 
@@ -212,20 +202,17 @@ impl Buckets {
         let ways = &mut self.sets[set(key)];
         let known = ways.iter().position(|offender| offender.key == key);
         let way = known.unwrap_or_else(|| lightest(ways));
-        let owed = if known.is_some() { ways[way].forgiven_at.max(now) } else { now };
-        // Who is known is not refused, and still owes no more than anybody can.
-        let most = now.saturating_add(self.rate.most);
-        let forgiven_at = owed.saturating_add(self.rate.interval).min(most);
-        ways[way] = Offender { key, forgiven_at };
+        let forgiven_at = if known.is_some() { ways[way].forgiven_at } else { now };
+        // The bucket of a known client may be empty already: the client is not refused.
+        ways[way] = Offender { key, forgiven_at: self.rate.charge(forgiven_at, now) };
         let pushed_out = self.throttled[set(key)][way].take_if(|_| known.is_none())?;
         self.throttled_now -= 1;
         Some(pushed_out.told(self.scope, now))
     }
 
     fn clamp(&mut self, now: Nanos) {
-        let latest = now.saturating_add(self.rate.most);
         for offender in self.sets.as_flattened_mut() {
-            offender.forgiven_at = offender.forgiven_at.min(latest);
+            offender.forgiven_at = self.rate.clamp(offender.forgiven_at, now);
         }
     }
 
@@ -250,18 +237,15 @@ impl Record {
     }
 }
 
-impl Rate {
-    fn of(scope: ThrottleScope, limits: &Limits) -> Self {
-        let senders_burst = u64::from(limits.wrong_password_burst);
-        let burst = match scope {
-            ThrottleScope::Sender => senders_burst,
-            ThrottleScope::Address => u64::from(limits.wrong_password_address_burst),
-        };
-        // Whatever is owed, all of it is forgiven in the same time.
-        let most = nanos(limits.wrong_password_interval).saturating_mul(senders_burst);
-        let interval = most / burst.max(1);
-        Self { interval, bearable: interval.saturating_mul(burst.saturating_sub(1)), most }
-    }
+/// One token is one wrong password. In either scope, an empty bucket is full again after the same time.
+fn rate(scope: ThrottleScope, limits: &Limits) -> Gcra {
+    let senders_burst = u64::from(limits.wrong_password_burst);
+    let burst = match scope {
+        ThrottleScope::Sender => senders_burst,
+        ThrottleScope::Address => u64::from(limits.wrong_password_address_burst),
+    };
+    let all = nanos(limits.wrong_password_interval).saturating_mul(senders_burst);
+    Gcra::new(all / burst.max(1), burst)
 }
 
 fn set(key: u64) -> usize {
