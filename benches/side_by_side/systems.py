@@ -91,7 +91,7 @@ clusters:
 {endpoints}"""}
 
 
-def pnet_nat(limits=""):
+def pnet_nat(datapath=""):
     return lambda site: {"pnet-nat.toml": f"""[public]
 listen = ["{PUBLIC}"]
 [[udp_range_net]]
@@ -104,8 +104,8 @@ max_flows = 65536
   [[udp_range_net.password]]
   name = "bench"
   file = "password"
-[limits]
-{limits}
+[datapath]
+{datapath}
 [admin]
 listen = "127.0.0.1:9378"
 """, "password": "PNETPASS"}

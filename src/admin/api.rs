@@ -599,7 +599,7 @@ struct NetConfig<'a> {
 
 impl<'a> ConfigInForce<'a> {
     fn of(config: &'a Config) -> Self {
-        let Config { listen, table, limits, runtime, admin, files: _ } = config;
+        let Config { listen, table, limits, datapath, log, runtime, admin, files: _ } = config;
         let nets = table.net_ids().map(|id| NetConfig {
             rules: NetRules::of(table.net(id)),
             nodes: table.mappings_of(id).map(|m| Element::of(table.mapping(m))).collect(),
@@ -612,12 +612,12 @@ impl<'a> ConfigInForce<'a> {
             wrong_password_burst: limits.wrong_password_burst,
             wrong_password_address_burst: limits.wrong_password_address_burst,
             wrong_password_interval_seconds: limits.wrong_password_interval.as_secs_f64(),
-            audit_lines: runtime.audit_lines,
-            prefilter: runtime.prefilter.label(),
-            busy_poll_seconds: runtime.busy_poll.as_secs_f64(),
+            audit_lines: log.audit_lines,
+            prefilter: datapath.prefilter.label(),
+            busy_poll_seconds: datapath.busy_poll.as_secs_f64(),
             user: runtime.user.as_deref(),
             workers: runtime.workers.map(usize::from),
-            receive_buffer_bytes: runtime.receive_buffer,
+            receive_buffer_bytes: datapath.receive_buffer,
             drain_seconds: runtime.drain.as_secs_f64(),
             admin_listen: admin.as_ref().map(|admin| admin.listen),
             admin_has_token: admin.as_ref().is_some_and(|admin| admin.token.is_some()),

@@ -151,17 +151,14 @@ fn same_passwords(old: &Credential, new: &Credential) -> bool {
 }
 
 fn settings(old: &Config, new: &Config) -> Vec<&'static str> {
-    let (was, is) = (&old.runtime, &new.runtime);
     let changed = [
         ("[public] listen", old.listen != new.listen),
         ("[protocol] header", old.table.header != new.table.header),
-        (
-            "[limits]",
-            old.limits != new.limits
-                || (was.prefilter, was.busy_poll, was.audit_lines)
-                    != (is.prefilter, is.busy_poll, is.audit_lines),
-        ),
-        ("[runtime]", (was.receive_buffer, was.drain) != (is.receive_buffer, is.drain)),
+        ("[limits]", old.limits != new.limits),
+        ("[datapath]", old.datapath != new.datapath),
+        ("[log]", old.log != new.log),
+        // Its other keys need a restart: `not_in_force` tells of them.
+        ("[runtime]", old.runtime.drain != new.runtime.drain),
         ("[admin]", old.admin != new.admin),
     ];
     changed.into_iter().filter_map(|(key, changed)| changed.then_some(key)).collect()

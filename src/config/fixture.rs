@@ -5,7 +5,7 @@ use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::sync::Arc;
 use std::time::Duration;
 
-use crate::config::{Admin, Config, Runtime};
+use crate::config::{Admin, Config, Datapath, Log, Runtime};
 use crate::nat::{Credential, Limits, Mapping, MappingId, Net, NetId, NetKind, Table};
 use crate::pnet::wire::{Header, Password};
 
@@ -40,6 +40,8 @@ pub(crate) fn config() -> Config {
             wrong_password_address_burst: 5120,
             wrong_password_interval: Duration::from_secs(60),
         },
+        datapath: Datapath::default(),
+        log: Log::default(),
         runtime: Runtime::default(),
         admin: Some(Admin {
             listen: SocketAddr::from(([127, 0, 0, 1], 9378)),

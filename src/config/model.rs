@@ -21,6 +21,10 @@ pub struct Config {
     pub table: Arc<Table>,
     /// Bounds of the router as a whole.
     pub limits: Limits,
+    /// How datagrams are taken from the kernel.
+    pub datapath: Datapath,
+    /// What the log may hold.
+    pub log: Log,
     /// How the process runs.
     pub runtime: Runtime,
     /// The admin server; none when it is switched off.
@@ -38,16 +42,26 @@ pub struct Runtime {
     pub user: Option<String>,
     /// Worker threads; none: one for each two cores, whose other half the kernel's own work takes.
     pub workers: Option<NonZeroUsize>,
+    /// How long a stopping relay waits for answers that are still due.
+    pub drain: Duration,
+}
+
+/// How datagrams are taken from the kernel.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Datapath {
     /// Octets of receive buffer to ask the kernel for, for each socket.
     pub receive_buffer: usize,
-    /// How long a stopping router waits for answers that are still due.
-    pub drain: Duration,
-    /// Lines that each kind of audit event may write in a window of the log.
-    pub audit_lines: u32,
     /// When the kernel refuses on the public sockets what cannot pass.
     pub prefilter: Prefilter,
     /// How long a worker looks for the next datagram before it sleeps; zero: not at all.
     pub busy_poll: Duration,
+}
+
+/// What the log may hold.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Log {
+    /// Lines that each kind of audit event may write in a window of the log.
+    pub audit_lines: u32,
 }
 
 /// When the kernel refuses on the public sockets what cannot pass, instead of the worker.
@@ -86,20 +100,6 @@ impl Prefilter {
             Self::Auto => "auto",
             Self::Always => "always",
             Self::Off => "off",
-        }
-    }
-}
-
-impl Default for Runtime {
-    fn default() -> Self {
-        Self {
-            user: None,
-            workers: None,
-            receive_buffer: 1 << 20,
-            drain: Duration::from_secs(5),
-            audit_lines: 500,
-            prefilter: Prefilter::Auto,
-            busy_poll: Duration::ZERO,
         }
     }
 }

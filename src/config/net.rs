@@ -11,6 +11,7 @@ use crate::pnet::wire::{BNA, NORMAL_PORT, SECURE_PORT, SNA};
 
 use super::address::{endpoint, is_a_host, is_link_local, network};
 use super::credentials::credentials;
+use super::defaults;
 use super::node_range::{LAST_NODE, NodeRange};
 use super::report::{SourceSpan, quoted};
 use super::toml_table::{Entry, LONGEST, Section};
@@ -166,7 +167,7 @@ fn rules<'a>(section: &mut Section<'a>, name: &Entry<'_>, kind: NetKind) -> (Net
         allow_without_password,
         require_response_password: require_response_password.boolean().unwrap_or(false),
         idle_timeout: self::idle_timeout(&idle_timeout),
-        max_flows: max_flows.integer(1..=MOST_FLOWS).unwrap_or(4096),
+        max_flows: max_flows.integer(1..=MOST_FLOWS).unwrap_or(defaults::NET_MAX_FLOWS),
         max_requests: request_rate(&max_requests),
         max_flow_requests: request_rate(&max_flow_requests),
     };
@@ -315,7 +316,7 @@ fn warn_of_unreachable(entry: &Entry<'_>, port: u16, node: u8) {
 
 fn idle_timeout(entry: &Entry<'_>) -> Duration {
     let timeout =
-        entry.duration(Duration::from_millis(1)..=LONGEST).unwrap_or(Duration::from_secs(300));
+        entry.duration(Duration::from_millis(1)..=LONGEST).unwrap_or(defaults::IDLE_TIMEOUT);
     if timeout < SHORT_IDLE_TIMEOUT {
         entry.warn(
             format!("{} is short: answers may be lost", humantime::format_duration(timeout)),

@@ -45,7 +45,7 @@ mod tests {
         let mut new = old.clone();
         new.runtime.user = Some("relay".into());
         new.runtime.workers = NonZeroUsize::new(7);
-        new.runtime.receive_buffer += 1;
+        new.datapath.receive_buffer += 1;
         new.limits.max_flows += 1;
         let admin = new.admin.as_mut().unwrap();
         admin.listen.set_port(1);
@@ -56,7 +56,7 @@ mod tests {
         let (was, is) = (old.admin.as_ref().unwrap(), new.admin.as_ref().unwrap());
         assert_eq!((was.listen, !was.reload), (is.listen, is.reload));
         assert_eq!(new.runtime.workers, old.runtime.workers);
-        assert_eq!(new.runtime.receive_buffer, old.runtime.receive_buffer + 1);
+        assert_eq!(new.datapath.receive_buffer, old.datapath.receive_buffer + 1);
         assert_eq!(new.limits.max_flows, old.limits.max_flows + 1);
 
         assert_eq!(keep_settled(&old, &mut Config { admin: None, ..old.clone() }).len(), 1);

@@ -9,7 +9,7 @@ use std::collections::HashSet;
 use toml::de::DeTable;
 
 use super::excerpt::Lines;
-use super::report::shortened;
+use super::report::{MOST_TOLD, Report, shortened};
 
 /// Keys whose value is a list.
 const LISTS: [&str; 3] = ["listen", "nodes", "allow"];
@@ -23,6 +23,34 @@ pub(super) struct Advice {
     pub(super) key: String,
     pub(super) problem: String,
     pub(super) remedy: String,
+}
+
+/// Notes each place where the text is not TOML, with advice where there is some.
+pub(super) fn note_faults(report: &Report<'_>, errors: &[toml::de::Error]) {
+    if errors.is_empty() {
+        return;
+    }
+    let syntax = Syntax::of(&report.lines);
+    let mut advised = HashSet::new();
+    for (number, error) in errors.iter().enumerate() {
+        let offset = error.span().map_or(0, |span| span.start);
+        let line = report.line(offset);
+        // What the parser makes of the rest of such a line helps nobody.
+        if syntax.follows(line, &advised) {
+            continue;
+        }
+        let own = || syntax.advice(offset, error.message());
+        let own = (number < MOST_TOLD).then(own).flatten();
+        if own.is_some() {
+            advised.insert(line);
+        }
+        let as_parsed = || Advice {
+            key: String::new(),
+            problem: error.message().replace('\n', ", "),
+            remedy: "correct the TOML; keys are checked once it can be read".into(),
+        };
+        report.syntax_fault(offset, own.unwrap_or_else(as_parsed));
+    }
 }
 
 /// The lines of a text and the headers among them.

@@ -6,7 +6,7 @@ use std::time::Instant;
 
 use tokio::sync::mpsc::Sender;
 
-use crate::config::Runtime;
+use crate::config::Datapath;
 use crate::nat::{FlowRecord, Succession, Table};
 
 use super::socket::public::Listeners;
@@ -32,5 +32,5 @@ pub(in crate::datapath) struct WorkerReload {
     pub succession: Succession,
     pub listeners: Listeners,
     pub upstream_limit: usize,
-    pub runtime: Runtime,
+    pub settings: Datapath,
 }

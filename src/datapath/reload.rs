@@ -192,7 +192,7 @@ impl Router {
             },
             listeners: listeners.clone(),
             upstream_limit: share.upstreams,
-            runtime: config.runtime.clone(),
+            settings: config.datapath.clone(),
         };
         let mut answers = Vec::new();
         for ((worker, listeners), counters) in self.workers.iter().zip(&listeners).zip(&counters) {
@@ -205,7 +205,7 @@ impl Router {
             // None comes from a worker that has panicked: it takes the process along.
             flows_closed += answer.recv().map_err(|_| Stopping)?;
         }
-        if config.runtime.receive_buffer != old.config.runtime.receive_buffer {
+        if config.datapath.receive_buffer != old.config.datapath.receive_buffer {
             resize_buffers(&config, &listeners);
         }
         let upstream_drops = Arc::clone(&old.upstream_drops);
@@ -226,7 +226,7 @@ fn new_ones(listeners: &[Listeners], before: &[Listeners]) -> Vec<ListenerId> {
 fn resize_buffers(config: &Config, listeners: &[Listeners]) {
     for (_, listener) in listeners.iter().flat_map(Listeners::iter) {
         // What the kernel did not grant is told below.
-        let _ = listener.socket.socket().set_recv_buffer_size(config.runtime.receive_buffer);
+        let _ = listener.socket.socket().set_recv_buffer_size(config.datapath.receive_buffer);
     }
     setup::tell_short_buffers(config, listeners);
 }

@@ -94,7 +94,7 @@ impl Router {
         setup::tell_short_buffers(&config, &listeners);
 
         let rules = Rules::new(Arc::clone(&config.table), config.limits);
-        let audit = Arc::new(Audit::new(config.runtime.audit_lines));
+        let audit = Arc::new(Audit::new(config.log.audit_lines));
         let ports = Arc::new(Ports::new(&config));
         let upstream_drops: Arc<NetDrops> = Arc::default();
         let shared = Shared {
@@ -133,7 +133,7 @@ impl Router {
     pub(crate) fn idle(config: Config, workers: usize) -> Arc<Self> {
         let counters = (0..workers).map(|_| Arc::new(Counters::new(&config.table))).collect();
         let drops = config.table.nets().iter().map(|_| Arc::default()).collect();
-        let audit = Arc::new(Audit::new(config.runtime.audit_lines));
+        let audit = Arc::new(Audit::new(config.log.audit_lines));
         let ports = Arc::new(Ports::new(&config));
         let rules = Rules::new(Arc::clone(&config.table), config.limits);
         let in_force =

@@ -68,7 +68,7 @@ impl DropReport {
     fn report(&mut self, window: Duration, last: bool) {
         self.window_began = Instant::now();
         let in_force = self.router.in_force();
-        self.router.audit().end_window(in_force.config.runtime.audit_lines, window);
+        self.router.audit().end_window(in_force.config.log.audit_lines, window);
         let table = &in_force.config.table;
         if !Arc::ptr_eq(table, &self.table) {
             self.reported = carried_over(&self.reported, &self.table, table);

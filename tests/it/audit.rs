@@ -30,7 +30,7 @@ fn guess(relay: &Relay, site: &Site, stranger: &Peer) {
 fn every_event_of_the_page_is_written_as_it_says() {
     let site = Site::claim();
     let limits = "[limits]\nwrong_password_burst = 2\nwrong_password_interval = \"500ms\"\n\
-                  audit_lines = 2";
+                  [log]\naudit_lines = 2";
     let net = "idle_timeout = \"1s\"";
     let configuration =
         site.configuration(&Settings { net, sections: limits, ..Settings::default() });
@@ -137,7 +137,7 @@ fn many_events_make_few_lines_and_all_are_counted() {
     const TIMES: usize = 60;
     let site = Site::claim();
     let limits = "[limits]\nwrong_password_burst = 1\nwrong_password_interval = \"1h\"\n\
-                  prefilter = \"off\"\naudit_lines = 10";
+                  [datapath]\nprefilter = \"off\"\n[log]\naudit_lines = 10";
     let relay = site.relay(Settings { sections: limits, ..Settings::default() });
     let node = site.node(4);
     // Two addresses; all ports at once, or some would get one that another one had.
@@ -174,7 +174,7 @@ fn many_events_make_few_lines_and_all_are_counted() {
 fn throttling_names_the_sender_or_the_address() {
     let site = Site::claim();
     let limits = "[limits]\nwrong_password_burst = 2\nwrong_password_interval = \"1h\"\n\
-                  prefilter = \"off\"\naudit_lines = 10";
+                  [datapath]\nprefilter = \"off\"\n[log]\naudit_lines = 10";
     let relay = site.relay(Settings { sections: limits, ..Settings::default() });
     let stranger = site.client();
     guess(&relay, &site, &stranger);

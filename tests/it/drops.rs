@@ -162,7 +162,7 @@ fn a_node_that_is_not_listed() {
 fn guesses_on_an_open_flow_are_not_slowed() {
     let site = Site::claim();
     let limits = "[limits]\nwrong_password_burst = 3\nwrong_password_interval = \"1h\"\n\
-                  prefilter = \"off\"";
+                  [datapath]\nprefilter = \"off\"";
     let passwords = "[[udp_range_net.password]]\nname = \"first\"\nfile = \"secrets/section-1\"\n\
                      [[udp_range_net.password]]\nname = \"second\"\nfile = \"secrets/press\"";
     let relay = site.relay(Settings { sections: limits, passwords, ..Settings::default() });
@@ -187,7 +187,7 @@ fn guesses_on_an_open_flow_are_not_slowed() {
 fn a_forged_sender_does_not_lock_out_a_client() {
     let site = Site::claim();
     let limits = "[limits]\nwrong_password_burst = 1\nwrong_password_address_burst = 4\n\
-                  wrong_password_interval = \"1h\"\nprefilter = \"off\"";
+                  wrong_password_interval = \"1h\"\n[datapath]\nprefilter = \"off\"";
     let runtime = "workers = 2";
     let relay = site.relay(Settings { sections: limits, runtime, ..Settings::default() });
     let (client, neighbour, node) = (site.client(), site.client(), site.node(4));

@@ -51,6 +51,8 @@ file = "secrets/section-1"
 [limits]
 wrong_password_burst = 2
 wrong_password_interval = "1s"
+
+[datapath]
 prefilter = "off"
 
 [runtime]

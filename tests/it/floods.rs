@@ -97,7 +97,7 @@ device_file = "secrets/section-1-device"
 name = "second"
 file = "secrets/press"
 "#;
-    let sections = "[limits]\nprefilter = \"always\"";
+    let sections = "[datapath]\nprefilter = \"always\"";
     let relay = site.relay(Settings { passwords, sections, ..Settings::default() });
     let (client, node) = (site.client(), site.node(4));
     client.send(site.public(4), &request(4));

@@ -264,7 +264,7 @@ fn a_flood_causes_no_packet_on_either_side() {
     let Some(network) = Network::build() else { return };
     network.at_the_edge(|| {
         for prefilter in ["off", "auto", "always"] {
-            let limits = format!("[limits]\nprefilter = \"{prefilter}\"");
+            let limits = format!("[datapath]\nprefilter = \"{prefilter}\"");
             let relay = start_with(&network, r#"["0.0.0.0", "::"]"#, &limits);
             let (client, node) = (network.client("198.51.100.7"), network.node(4));
             let (outside, inside) = (network.internet.capture(), network.plant.capture());

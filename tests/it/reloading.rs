@@ -140,7 +140,7 @@ fn a_withdrawn_password_stops_at_once_and_an_added_one_works_at_once() {
         RUNTIMES.iter().flat_map(|r| ["off", "auto", "always"].map(|p| (r, p)))
     {
         let site = Site::claim();
-        let sections = format!("[limits]\nprefilter = \"{prefilter}\"");
+        let sections = format!("[datapath]\nprefilter = \"{prefilter}\"");
         let settings = Settings { runtime, sections: &sections, ..Settings::default() };
         let both =
             site.configuration(&Settings { passwords: FIRST_AND_SECOND, ..settings.clone() });
@@ -674,12 +674,18 @@ fn settings_follow_the_configuration() {
     );
     let changed = Settings {
         net: "max_flows = 7",
-        runtime: "workers = 1\ndrain = \"200ms\"\nreceive_buffer = 8192",
-        sections: "[limits]\nprefilter = \"always\"\nbusy_poll = \"20us\"\nmax_flows = 99",
+        runtime: "workers = 1\ndrain = \"200ms\"",
+        sections: "[limits]\nmax_flows = 99\n\
+                   [datapath]\nprefilter = \"always\"\nbusy_poll = \"20us\"\nreceive_buffer = 8192\n\
+                   [log]\naudit_lines = 7",
         ..Settings::default()
     };
     let line = relay.reload_to(&site.configuration(&changed));
-    assert_eq!(line["settings_changed"], json!(["[limits]", "[runtime]"]), "{line}");
+    assert_eq!(
+        line["settings_changed"],
+        json!(["[limits]", "[datapath]", "[log]", "[runtime]"]),
+        "{line}"
+    );
     assert_eq!(line["nets_changed"], json!(["section-1"]), "{line}");
     let config = config();
     assert_eq!(
@@ -688,6 +694,7 @@ fn settings_follow_the_configuration() {
     );
     assert_eq!((&config["max_flows"], &config["drain_seconds"]), (&json!(99), &json!(0.2)));
     assert_eq!(config["receive_buffer_bytes"], 8192);
+    assert_eq!(config["audit_lines"], 7);
     assert_eq!(relay.metrics().sum("pnet_nat_flow_limit", &[("net", "section-1")]), 7);
     assert_eq!(exchange(&client, site.public(4), &node, 4), port);
 
@@ -697,7 +704,7 @@ fn settings_follow_the_configuration() {
     );
     assert_eq!(
         line["settings_changed"],
-        json!(["[protocol] header", "[limits]", "[runtime]"]),
+        json!(["[protocol] header", "[limits]", "[datapath]", "[log]", "[runtime]"]),
         "{line}"
     );
     client.send(site.public(4), &request(4));

@@ -109,15 +109,15 @@ fn it_is_shown_again_and_again_until_it_is_told_to_end() {
 #[test]
 fn what_the_kernel_dropped_is_shown_and_a_net_has_its_own() {
     let site = Site::claim();
-    let runtime = "workers = 1\nreceive_buffer = 4096\ndrain = \"100ms\"";
-    let section = "[[server]]\nname = \"press\"\npublic_port = PORT\naddress = \"SERVER:34379\"\n\
+    let section = "[datapath]\nreceive_buffer = 4096\n\
+                   [[server]]\nname = \"press\"\npublic_port = PORT\naddress = \"SERVER:34379\"\n\
                    node = 7\nallow = [\"NET/24\"]\n[[server.password]]\nname = \"service\"\n\
                    file = \"secrets/press\"";
     let section = section
         .replace("PORT", &(site.start_port() + 100).to_string())
         .replace("SERVER", &site.address(7).to_string())
         .replace("NET", &site.address(0).to_string());
-    let relay = site.relay(Settings { runtime, sections: &section, ..Settings::default() });
+    let relay = site.relay(Settings { sections: &section, ..Settings::default() });
     let (client, node) = (site.client(), site.node(4));
     client.send(site.public(4), &request(4));
     let upstream = node.expect(&request(4));

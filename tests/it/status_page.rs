@@ -50,8 +50,9 @@ fn polling_client(site: &Site) -> Process {
 
 /// Of a relay whose clients may be anywhere on loopback, and whose buffers are soon full.
 fn configuration(site: &Site) -> String {
-    let runtime = "workers = 1\nreceive_buffer = 4096\ndrain = \"100ms\"";
-    let configuration = site.configuration(&Settings { runtime, ..Settings::default() });
+    let configuration = site.configuration(&Settings::default());
+    let configuration =
+        configuration.replace("[admin]", "[datapath]\nreceive_buffer = 4096\n\n[admin]");
     // Its own clients stand among the nodes, which has to be said by name.
     let own = format!("\"{}/24\"", site.address(0));
     configuration.replace(&format!("[{own}]"), &format!("[\"127.0.0.0/8\", {own}]"))

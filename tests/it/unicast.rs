@@ -13,7 +13,7 @@ const KERNEL: &str = "pnet_nat_kernel_dropped_datagrams_total";
 
 fn start(network: &Network, listen: &str, prefilter: &str) -> Relay {
     let runtime = "workers = 2\ndrain = \"100ms\"";
-    let sections = &format!("[limits]\nprefilter = \"{prefilter}\"");
+    let sections = &format!("[datapath]\nprefilter = \"{prefilter}\"");
     network.place(listen).relay(&Settings { runtime, sections, ..Settings::default() })
 }
 

@@ -11,7 +11,7 @@ use anyhow::{Context, bail};
 use arrayvec::ArrayVec;
 use tokio::task::JoinSet;
 
-use crate::config::{Admin, Config, Runtime};
+use crate::config::{Admin, Config, Datapath, Log, Runtime};
 use crate::listen::ListenError;
 use crate::nat::{Credential, Limits, Mapping, Net, NetId, NetKind, Table};
 use crate::peer::{NodeCounts, NodeSettings, ServerNode, Target};
@@ -102,6 +102,8 @@ impl Plant {
                 wrong_password_address_burst: 5120,
                 wrong_password_interval: Duration::from_millis(200),
             },
+            datapath: Datapath::default(),
+            log: Log::default(),
             runtime: Runtime::default(),
             admin: Some(Admin {
                 listen: admin,

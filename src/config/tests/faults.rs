@@ -55,6 +55,40 @@ fn refuses_what_is_no_toml_or_no_key() {
 }
 
 #[test]
+fn a_key_in_another_section_is_refused_with_its_own() {
+    refuses(&[
+        (
+            "[public]",
+            "[limits]\nprefilter = \"off\"\n[public]",
+            2,
+            "limits.prefilter",
+            "it is a key of [datapath]: move it there",
+        ),
+        (
+            "[public]",
+            "[limits]\nbusy_poll = \"50us\"\n[public]",
+            2,
+            "limits.busy_poll",
+            "it is a key of [datapath]: move it there",
+        ),
+        (
+            "[public]",
+            "[limits]\naudit_lines = 7\n[public]",
+            2,
+            "limits.audit_lines",
+            "it is a key of [log]: move it there",
+        ),
+        (
+            "[public]",
+            "[runtime]\nreceive_buffer = 65536\n[public]",
+            2,
+            "runtime.receive_buffer",
+            "it is a key of [datapath]: move it there",
+        ),
+    ]);
+}
+
+#[test]
 fn refuses_values_of_the_wrong_kind() {
     refuses(&[
         (

@@ -10,14 +10,17 @@ mod size;
 mod syntax;
 
 use std::fs::{self, Permissions};
+use std::net::SocketAddr;
+use std::num::NonZeroUsize;
 use std::os::unix::fs::{PermissionsExt, symlink};
 use std::path::Path;
+use std::time::Duration;
 
 use proptest::prelude::*;
 use tempfile::TempDir;
 
 use super::*;
-use crate::nat::{Net, NetKind, RequestRate};
+use crate::nat::{Limits, Net, NetKind, RequestRate};
 
 /// Line numbers in the cases below count from the first line of this text.
 const SOUND: &str = r#"[public]
@@ -100,7 +103,7 @@ fn the_sound_configuration_is_sound_and_complete() {
     assert_eq!(config.listen, ["192.0.2.1".parse::<IpAddr>().unwrap()]);
     assert_eq!(config.table.header, Header([2, 0, 0, 0]));
     assert_eq!(config.runtime.workers, None);
-    assert_eq!(config.runtime.receive_buffer, 1_048_576);
+    assert_eq!(config.datapath.receive_buffer, 1_048_576);
     assert_eq!(config.runtime.drain, Duration::from_secs(5));
     assert_eq!(config.admin.unwrap().listen, "127.0.0.1:9378".parse().unwrap());
     let limits = Limits {
@@ -153,11 +156,15 @@ max_flows = 100
 wrong_password_burst = 3
 wrong_password_address_burst = 50
 wrong_password_interval = "1m"
+[datapath]
+receive_buffer = 65536
+prefilter = "always"
+busy_poll = "20us"
+[log]
 audit_lines = 7
 [runtime]
 user = 990
 workers = 3
-receive_buffer = 65536
 drain = "0s"
 [admin]
 enabled = false
@@ -169,10 +176,15 @@ listen = "[::1]:0"
     let limits = config.limits;
     assert_eq!((limits.max_flows, limits.wrong_password_burst), (100, 3));
     assert_eq!(limits.wrong_password_interval, Duration::from_secs(60));
-    assert_eq!(config.runtime.audit_lines, 7);
+    let datapath = Datapath {
+        receive_buffer: 65_536,
+        prefilter: Prefilter::Always,
+        busy_poll: Duration::from_micros(20),
+    };
+    assert_eq!((config.datapath, config.log), (datapath, Log { audit_lines: 7 }));
     assert_eq!(config.runtime.user.as_deref(), Some("990"));
     assert_eq!(config.runtime.workers, NonZeroUsize::new(3));
-    assert_eq!((config.runtime.receive_buffer, config.runtime.drain), (65_536, Duration::ZERO));
+    assert_eq!(config.runtime.drain, Duration::ZERO);
     assert!(config.admin.is_none());
     let [section, press] = config.table.nets() else { panic!("two nets") };
     assert_eq!((press.idle_timeout, press.max_flows), (Duration::from_secs(120), 9));

@@ -40,6 +40,8 @@ fn tells_the_defaults() {
     let (told, _) = read(REFERENCE).unwrap();
     let (default, _) = super::read(SOUND).unwrap();
     assert_eq!(told.limits, default.limits);
+    assert_eq!(told.datapath, default.datapath);
+    assert_eq!(told.log, default.log);
     assert_eq!(format!("{:?}", told.runtime), format!("{:?}", default.runtime));
     assert_eq!(format!("{:?}", told.admin), format!("{:?}", default.admin));
     assert_eq!(told.table.header, default.table.header);
@@ -64,7 +66,7 @@ fn has_every_key() {
         }))
         .collect();
     let Err(Faults(faults)) = read(&provoked) else { panic!("unknown keys are taken") };
-    assert_eq!(faults.len(), 10, "one a section: {faults:#?}");
+    assert_eq!(faults.len(), 12, "one a section: {faults:#?}");
     for fault in faults {
         let (_, keys) = fault.remedy.split_once("the keys here are ").unwrap();
         let mut expected: Vec<&str> = keys.split(", ").collect();

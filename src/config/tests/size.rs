@@ -116,7 +116,7 @@ fn nesting_without_end_is_a_fault() {
 fn a_file_that_is_no_configuration_by_its_size() {
     let folder = folder();
     let path = folder.path().join("large.toml");
-    fs::File::create(&path).unwrap().set_len(MOST_OCTETS + 1).unwrap();
+    fs::File::create(&path).unwrap().set_len(text::MOST_OCTETS + 1).unwrap();
     let faults = load(&path).unwrap_err().to_string();
     assert!(faults.contains("large.toml: has more than 16 MiB; "), "{faults}");
 }

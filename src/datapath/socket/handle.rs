@@ -50,7 +50,7 @@ impl Handle {
             table: Arc::clone(&config.table),
             shared: shared.clone(),
             upstream_limit,
-            runtime: config.runtime.clone(),
+            settings: config.datapath.clone(),
             started,
             commands: inbox,
             epoll: Arc::clone(&handle.epoll),

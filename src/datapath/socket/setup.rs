@@ -140,11 +140,11 @@ fn filtered(
     listener: impl Fn(Arc<FilteredSocket>) -> Listener,
 ) -> Result<Vec<Listener>, ListenError> {
     let failed = |error| ListenError::new("UDP", address, "[public] listen", error);
-    let sockets = options::public(address, workers, config.runtime.receive_buffer);
+    let sockets = options::public(address, workers, config.datapath.receive_buffer);
     let mut listeners = Vec::new();
     for socket in sockets.map_err(failed)? {
         let listener = listener(Arc::new(FilteredSocket::new(socket)));
-        if config.runtime.prefilter == Prefilter::Always {
+        if config.datapath.prefilter == Prefilter::Always {
             let on = listener.filter(true, &config.table);
             on.map_err(CallError::of("setsockopt SO_ATTACH_FILTER")).map_err(failed)?;
         }
@@ -183,7 +183,7 @@ pub(in crate::datapath) fn ports_of(ip: IpAddr, mut ports: Vec<u16>) -> String {
 
 /// Says when the kernel granted less than the configured receive buffer.
 pub(in crate::datapath) fn tell_short_buffers(config: &Config, listeners: &[Listeners]) {
-    let asked = config.runtime.receive_buffer;
+    let asked = config.datapath.receive_buffer;
     let sockets = listeners.iter().flat_map(Listeners::iter);
     let granted =
         sockets.filter_map(|(_, l)| options::receive_buffer(l.socket.socket()).ok()).min();

@@ -13,7 +13,7 @@ use std::time::Instant;
 
 use nix::sys::epoll::Epoll;
 
-use crate::config::{Prefilter, Runtime};
+use crate::config::{Datapath, Prefilter};
 use crate::nat::{
     Arrival, CloseReason, Effects, FlowRecord, MappingId, NetId, Table, Throttled, UpstreamId,
 };
@@ -80,7 +80,7 @@ impl UpstreamSockets {
         epoll: Arc<Epoll>,
         shared: Shared,
         limit: usize,
-        runtime: &Runtime,
+        settings: &Datapath,
         started: Instant,
         table: Arc<Table>,
     ) -> Self {
@@ -91,8 +91,8 @@ impl UpstreamSockets {
             open: [0; 2],
             served: served(&table),
             limit,
-            receive_buffer: runtime.receive_buffer,
-            filters: runtime.prefilter != Prefilter::Off,
+            receive_buffer: settings.receive_buffer,
+            filters: settings.prefilter != Prefilter::Off,
             strays: FloodWatch::default(),
             dropped: 0,
             table,
@@ -111,11 +111,11 @@ impl UpstreamSockets {
     pub(in crate::datapath) fn reload(
         &mut self,
         limit: usize,
-        runtime: &Runtime,
+        settings: &Datapath,
         table: Arc<Table>,
     ) {
         self.warnings = RateLimitedWarnings::default();
-        let receive_buffer = runtime.receive_buffer;
+        let receive_buffer = settings.receive_buffer;
         if receive_buffer != self.receive_buffer {
             for upstream in self.sockets.iter().flatten() {
                 if let Err(error) = upstream.socket.socket().set_recv_buffer_size(receive_buffer) {
@@ -123,7 +123,7 @@ impl UpstreamSockets {
                 }
             }
         }
-        self.filters = runtime.prefilter != Prefilter::Off;
+        self.filters = settings.prefilter != Prefilter::Off;
         // It never refuses what a server of the new table sends. Made where there is a flood alone.
         let program = LazyCell::new(|| {
             self.filters.then(|| kernel_filter::upstream::program(&table)).and_then(Result::ok)

@@ -14,7 +14,7 @@ use std::time::{Duration, Instant};
 use nix::sys::epoll::{Epoll, EpollEvent, EpollTimeout};
 use nix::sys::eventfd::EventFd;
 
-use crate::config::Runtime;
+use crate::config::Datapath;
 use crate::nat::{Arrival, Core, Direction, DropReason, ListenerId, Table, UpstreamId};
 
 use crate::datapath::commands::{Command, WorkerReload};
@@ -66,7 +66,7 @@ pub(in crate::datapath) struct WorkerSetup {
     pub table: Arc<Table>,
     pub shared: Shared,
     pub upstream_limit: usize,
-    pub runtime: Runtime,
+    pub settings: Datapath,
     pub started: Instant,
     pub commands: Receiver<Command>,
     pub epoll: Arc<Epoll>,
@@ -79,12 +79,12 @@ impl Worker {
         let ticker = Ticker::new(&parts.epoll)?;
         let mut floods = FloodGuard::new(parts.started);
         let (table, none) = (parts.core.table(), Listeners::default());
-        floods.reload(parts.runtime.prefilter, (table, table), &none, &parts.listeners);
+        floods.reload(parts.settings.prefilter, (table, table), &none, &parts.listeners);
         let mut upstream = UpstreamSockets::new(
             Arc::clone(&parts.epoll),
             parts.shared,
             parts.upstream_limit,
-            &parts.runtime,
+            &parts.settings,
             parts.started,
             parts.table,
         );
@@ -105,7 +105,7 @@ impl Worker {
             wake: parts.wake,
             warnings: RateLimitedWarnings::default(),
             floods,
-            busy: BusyPoll::new(parts.runtime.busy_poll),
+            busy: BusyPoll::new(parts.settings.busy_poll),
         })
     }
 
@@ -330,7 +330,7 @@ impl Worker {
             self.tidy(now);
         }
         self.flush(now); // what waits to be sent is counted under the table that it came by
-        let WorkerReload { succession, listeners, upstream_limit, runtime } = next;
+        let WorkerReload { succession, listeners, upstream_limit, settings } = next;
         let before = mem::replace(&mut self.listeners, listeners);
         let after = &self.listeners;
         let (old, table) = (Arc::clone(self.core.table()), Arc::clone(&succession.rules.table));
@@ -341,9 +341,9 @@ impl Worker {
                 was.account();
             }
         }
-        self.floods.reload(runtime.prefilter, (&old, &table), &before, after);
-        self.upstream.reload(upstream_limit, &runtime, table);
+        self.floods.reload(settings.prefilter, (&old, &table), &before, after);
+        self.upstream.reload(upstream_limit, &settings, table);
         self.upstream.answer_from(self.listeners.clone());
-        self.busy = BusyPoll::new(runtime.busy_poll);
+        self.busy = BusyPoll::new(settings.busy_poll);
     }
 }

@@ -176,7 +176,7 @@ pub(super) const ROUTER_FAMILIES: &[RouterFamily] = &[
     },
     RouterFamily {
         name: "pnet_nat_audit_lines_left_out_total",
-        help: "Lines of the audit log beyond what [limits] audit_lines allows.",
+        help: "Lines of the audit log beyond what [log] audit_lines allows.",
         kind: MetricType::COUNTER,
         sample: |state| counter(&[], state.audit_lines_left_out),
     },

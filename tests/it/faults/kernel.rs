@@ -84,8 +84,8 @@ fn a_full_send_buffer() {
 #[test]
 fn a_full_buffer_of_a_public_port() {
     let site = Site::claim();
-    let runtime = "workers = 1\nreceive_buffer = 4096\ndrain = \"100ms\"";
-    let relay = site.relay(Settings { runtime, ..Settings::default() });
+    let sections = "[datapath]\nreceive_buffer = 4096";
+    let relay = site.relay(Settings { sections, ..Settings::default() });
     let (client, node, other) = (site.client(), site.node(4), site.node(3));
     let port = exchange(&client, site.public(4), &node, 4);
     relay.process.hold();
@@ -116,8 +116,8 @@ fn a_full_buffer_of_a_public_port() {
 #[test]
 fn a_full_buffer_of_an_upstream_socket() {
     let site = Site::claim();
-    let runtime = "workers = 1\nreceive_buffer = 4096\ndrain = \"100ms\"";
-    let relay = site.relay(Settings { runtime, ..Settings::default() });
+    let sections = "[datapath]\nreceive_buffer = 4096";
+    let relay = site.relay(Settings { sections, ..Settings::default() });
     let (client, node, other) = (site.client(), site.node(4), site.client());
     let port = exchange(&client, site.public(4), &node, 4);
     relay.process.hold();

@@ -1,0 +1,40 @@
+//! The default of every key that has one. `tests::reference` compares them with what
+//! `config/pnet-nat.toml` says.
+
+use std::net::{IpAddr, Ipv4Addr, SocketAddr};
+use std::time::Duration;
+
+use super::model::{Datapath, Log, Prefilter, Runtime};
+
+/// Of a net: `max_flows`.
+pub(super) const NET_MAX_FLOWS: u32 = 4096;
+/// Of a net: `idle_timeout`.
+pub(super) const IDLE_TIMEOUT: Duration = Duration::from_secs(5 * 60);
+/// Of all nets: `[limits] max_flows`.
+pub(super) const MAX_FLOWS: u32 = 65_536;
+/// `wrong_password_burst`.
+pub(super) const WRONG_PASSWORD_BURST: u16 = 10;
+/// `wrong_password_address_burst` is so many times `wrong_password_burst`.
+pub(super) const SENDERS_OF_AN_ADDRESS: u32 = 512;
+/// `wrong_password_interval`.
+pub(super) const WRONG_PASSWORD_INTERVAL: Duration = Duration::from_secs(6);
+/// `[admin] listen`.
+pub(super) const ADMIN_LISTEN: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 9378);
+
+impl Default for Datapath {
+    fn default() -> Self {
+        Self { receive_buffer: 1 << 20, prefilter: Prefilter::Auto, busy_poll: Duration::ZERO }
+    }
+}
+
+impl Default for Log {
+    fn default() -> Self {
+        Self { audit_lines: 500 }
+    }
+}
+
+impl Default for Runtime {
+    fn default() -> Self {
+        Self { user: None, workers: None, drain: Duration::from_secs(5) }
+    }
+}
