@@ -1,0 +1,160 @@
+//! `/api/v1/flows`: the open flows.
+
+use std::collections::VecDeque;
+use std::iter;
+use std::net::{IpAddr, SocketAddr};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
+
+use axum::extract::{Query, State};
+use axum::http::StatusCode;
+use axum::response::{IntoResponse, Response};
+use serde::ser::Error as _;
+use serde::{Deserialize, Serialize};
+
+use super::config::Element;
+use super::json_list;
+use crate::admin::Shared;
+use crate::nat::{FlowRecord, Table};
+
+const DEFAULT_FLOWS: usize = 1000;
+/// A worker lists its flows between two datagrams, so a list has to be short.
+const MOST_FLOWS: usize = 10_000;
+
+/// Query of [`flows`].
+#[derive(Deserialize)]
+pub(in crate::admin) struct FlowsQuery {
+    limit: Option<usize>,
+}
+
+/// `GET /api/v1/flows?limit=`
+pub(in crate::admin) async fn flows(
+    State(shared): State<Shared>,
+    Query(query): Query<FlowsQuery>,
+) -> Response {
+    let limit = query.limit.unwrap_or(DEFAULT_FLOWS);
+    if limit > MOST_FLOWS {
+        let message = format!("limit is at most {MOST_FLOWS}\n");
+        return (StatusCode::BAD_REQUEST, message).into_response();
+    }
+    let asking = shared.flow_lists.asking.lock().await;
+    let Some(flows) = shared.router.flows(limit).await else {
+        let message = "a worker gives no answer\n";
+        return (StatusCode::SERVICE_UNAVAILABLE, message).into_response();
+    };
+    drop(asking);
+    let flows = flows.into_iter().flat_map(|(table, flows)| {
+        flows.into_iter().map(move |flow| serde_json::to_string(&Flow::of(&table, &flow)))
+    });
+    json_list("flows", shared.flow_lists.keep(Box::new(flows)), &shared.turn)
+}
+
+/// A list of flows is large, and asking for it wakes the workers: one is made at a time, and a few
+/// are kept for slow readers.
+#[derive(Clone, Default)]
+pub(in crate::admin) struct FlowLists {
+    asking: Arc<tokio::sync::Mutex<()>>,
+    /// Oldest first.
+    kept: Arc<Mutex<VecDeque<Weak<KeptList>>>>,
+}
+
+/// None when it was cut.
+type KeptList = Mutex<Option<FlowList>>;
+
+type FlowList = Box<dyn Iterator<Item = serde_json::Result<String>> + Send>;
+
+impl FlowLists {
+    const MOST: usize = 4;
+
+    /// The same list, but cut when so many others were asked for later.
+    fn keep(
+        &self,
+        list: FlowList,
+    ) -> impl Iterator<Item = serde_json::Result<String>> + Send + 'static + use<> {
+        let list = Arc::new(Mutex::new(Some(list)));
+        let mut kept = lock(&self.kept);
+        kept.retain(|list| list.strong_count() > 0);
+        if kept.len() >= Self::MOST
+            && let Some(oldest) = kept.pop_front().and_then(|list| list.upgrade())
+        {
+            *lock(&oldest) = None;
+        }
+        kept.push_back(Arc::downgrade(&list));
+        iter::from_fn(move || match lock(&list).as_mut() {
+            Some(list) => list.next(),
+            None => Some(Err(serde_json::Error::custom("others asked for it later"))),
+        })
+    }
+}
+
+/// Nothing panics while it has one of these locks.
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// A flow.
+#[derive(Serialize)]
+struct Flow<'a> {
+    net: &'a str,
+    #[serde(flatten)]
+    element: Element,
+    client: SocketAddr,
+    public_address: IpAddr,
+    /// Null without a password.
+    credential: Option<&'a str>,
+    upstream_port: u16,
+    age_seconds: f64,
+    idle_seconds: f64,
+}
+
+impl<'a> Flow<'a> {
+    fn of(table: &'a Table, flow: &FlowRecord) -> Self {
+        let mapping = table.mapping(flow.mapping);
+        let net = table.net(mapping.net);
+        let credential = flow.credential.and_then(|index| net.credentials.get(index));
+        Self {
+            net: &net.name,
+            element: Element::of(mapping),
+            client: flow.client,
+            public_address: flow.public_address,
+            credential: credential.map(|credential| credential.name.as_str()),
+            upstream_port: flow.upstream_port,
+            age_seconds: flow.age.as_secs_f64(),
+            idle_seconds: flow.idle.as_secs_f64(),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::Duration;
+
+    use serde_json::json;
+
+    use super::*;
+    use crate::config::fixture::{NODE_33, config};
+
+    #[test]
+    fn a_flow_names_its_net_node_and_credential() {
+        let table = config().table;
+        let record = FlowRecord {
+            client: "198.51.100.9:50000".parse().unwrap(),
+            public_address: "203.0.113.1".parse().unwrap(),
+            mapping: NODE_33,
+            credential: Some(1),
+            upstream_port: 40999,
+            age: Duration::from_millis(61_500),
+            idle: Duration::from_millis(250),
+        };
+        assert_eq!(
+            serde_json::to_value(Flow::of(&table, &record)).unwrap(),
+            json!({
+                "net": "section-1", "node": 33, "public_port": 40033,
+                "server": "172.17.17.33:34379", "client": "198.51.100.9:50000",
+                "public_address": "203.0.113.1", "credential": "team-b", "upstream_port": 40999,
+                "age_seconds": 61.5, "idle_seconds": 0.25,
+            })
+        );
+        let without = FlowRecord { credential: None, ..record };
+        assert_eq!(Flow::of(&table, &without).credential, None);
+    }
+}

@@ -1,0 +1,119 @@
+//! `/api/v1/status`: the process, its last reload, and what belongs to no net.
+
+use std::collections::BTreeMap;
+
+use axum::Json;
+use axum::extract::State;
+use axum::response::{IntoResponse, Response};
+use serde::Serialize;
+
+use super::traffic::DirectionState;
+use crate::COMMIT;
+use crate::admin::Shared;
+use crate::config::{Config, NotInForce};
+use crate::datapath::LastReload;
+use crate::nat::{Direction, RESPONSE_BUCKETS, SourceSketch};
+use crate::observe::totals::{self, NodeTotals};
+use crate::sandbox::{self, Layer};
+
+/// `GET /api/v1/status`
+pub(in crate::admin) async fn status(State(shared): State<Shared>) -> Response {
+    Json(Status::of(&shared, &shared.router.last_reload())).into_response()
+}
+
+/// The process, and what belongs to no net.
+#[derive(Serialize)]
+struct Status<'a> {
+    version: &'static str,
+    /// Null where it is not known.
+    commit: Option<&'static str>,
+    ready: bool,
+    uptime_seconds: f64,
+    reload: ReloadState<'a>,
+    workers: usize,
+    public_ports: usize,
+    max_flows: u32,
+    /// About how many addresses have sent wrong passwords since the start.
+    wrong_password_sources: u32,
+    /// The estimate goes no further than this.
+    wrong_password_sources_at_most: u32,
+    /// From the plant, of no server of the table.
+    stray_responses: DirectionState,
+    /// Answers that the kernel dropped on sockets towards the plant, which belong to no net.
+    upstream_kernel_dropped_datagrams: BTreeMap<&'static str, u64>,
+    /// Upper bounds of `response_time_buckets`; one more bucket takes the rest.
+    response_time_bounds_seconds: [f64; RESPONSE_BUCKETS.len()],
+    sandbox: Vec<LayerState<'a>>,
+}
+
+/// How the last reload went.
+#[derive(Serialize)]
+struct ReloadState<'a> {
+    /// All of the configuration that was last read is in force.
+    successful: bool,
+    /// Since the configuration in force came into force.
+    in_force_seconds: f64,
+    /// Reloads that have begun since the start.
+    begun: u64,
+    /// Which of them this tells of; 0: the start.
+    number: u64,
+    /// Why it changed nothing; null: it did not fail.
+    error: Option<&'a str>,
+    /// The faults of what was read.
+    faults: &'a [String],
+    /// What the configuration has that is in force, but for this.
+    not_in_force: Vec<&'a NotInForce>,
+}
+
+impl<'a> ReloadState<'a> {
+    fn of(last: &'a LastReload) -> Self {
+        Self {
+            successful: last.successful(),
+            in_force_seconds: last.success_at.elapsed().as_secs_f64(),
+            begun: last.begun,
+            number: last.number,
+            error: last.error.as_deref(),
+            faults: &last.faults,
+            not_in_force: last.not_in_force().collect(),
+        }
+    }
+}
+
+#[derive(Serialize)]
+struct LayerState<'a> {
+    layer: &'static str,
+    state: &'static str,
+    /// Null when there is nothing to explain.
+    why: Option<&'a str>,
+}
+
+impl<'a> Status<'a> {
+    fn of(shared: &'a Shared, last_reload: &'a LastReload) -> Self {
+        let state = |(layer, state): (Layer, &'a sandbox::State)| LayerState {
+            layer: layer.label(),
+            state: state.label(),
+            why: state.why(),
+        };
+        let in_force = shared.router.in_force();
+        let Config { table, limits, .. } = &in_force.config;
+        Self {
+            version: env!("CARGO_PKG_VERSION"),
+            commit: Some(COMMIT).filter(|commit| !commit.is_empty()),
+            ready: shared.router.is_ready(),
+            uptime_seconds: shared.router.started().elapsed().as_secs_f64(),
+            reload: ReloadState::of(last_reload),
+            workers: in_force.counters.len(),
+            public_ports: table.mappings().len(),
+            max_flows: limits.max_flows,
+            wrong_password_sources: totals::wrong_password_sources(&in_force.counters, table),
+            wrong_password_sources_at_most: SourceSketch::MOST,
+            stray_responses: DirectionState::of(
+                &NodeTotals::of_strays(&in_force.counters),
+                Direction::Response,
+            ),
+            upstream_kernel_dropped_datagrams: in_force.upstream_kernel_drops().by_cause().into(),
+            response_time_bounds_seconds: RESPONSE_BUCKETS,
+            sandbox: shared.sandbox.layers().map(state).collect(),
+        }
+    }
+}

@@ -1,0 +1,82 @@
+//! Datagrams and response times, of a node, a net, or what belongs to none.
+
+use std::collections::BTreeMap;
+use std::time::Duration;
+
+use serde::Serialize;
+
+use crate::nat::{Direction, RESPONSE_BUCKETS};
+use crate::observe::totals::{BucketTotals, DirectionTotals, NodeTotals, ResponseTotals};
+
+/// Datagrams, and how long answers took, since the start.
+#[derive(Serialize)]
+pub(super) struct Traffic {
+    request: DirectionState,
+    response: DirectionState,
+    response_time_mean_seconds: Option<f64>,
+    response_time_median_seconds: Option<f64>,
+    response_time_p99_seconds: Option<f64>,
+    /// How many answers fell into each bucket alone.
+    response_time_buckets: [u64; RESPONSE_BUCKETS.len() + 1],
+    /// The same by finer buckets, for who adds up nets or takes differences; those without an answer
+    /// are left out.
+    response_times: Vec<ResponseTimes>,
+}
+
+/// Answers that took about the same time.
+#[derive(Serialize)]
+struct ResponseTimes {
+    /// Null: no bound.
+    up_to_seconds: Option<f64>,
+    answers: u64,
+    sum_seconds: f64,
+}
+
+impl ResponseTimes {
+    fn of(times: &ResponseTotals) -> Vec<Self> {
+        let bucket = |(upper, bucket): (Option<Duration>, BucketTotals)| Self {
+            up_to_seconds: upper.map(|upper| upper.as_secs_f64()),
+            answers: bucket.answers,
+            sum_seconds: bucket.sum.as_secs_f64(),
+        };
+        times.buckets().filter(|(_, bucket)| bucket.answers > 0).map(bucket).collect()
+    }
+}
+
+impl Traffic {
+    pub(super) fn of(totals: &NodeTotals) -> Self {
+        let times = &totals.response_times;
+        Self {
+            request: DirectionState::of(totals, Direction::Request),
+            response: DirectionState::of(totals, Direction::Response),
+            response_time_mean_seconds: times.mean().map(|mean| mean.as_secs_f64()),
+            response_time_median_seconds: times.quantile(0.5).map(|median| median.as_secs_f64()),
+            response_time_p99_seconds: times.quantile(0.99).map(|p99| p99.as_secs_f64()),
+            response_time_buckets: times.coarse(),
+            response_times: ResponseTimes::of(times),
+        }
+    }
+}
+
+#[derive(Serialize)]
+pub(super) struct DirectionState {
+    received_datagrams: u64,
+    forwarded_datagrams: u64,
+    forwarded_bytes: u64,
+    /// By reason; those at 0 are left out.
+    dropped_datagrams: BTreeMap<&'static str, u64>,
+}
+
+impl DirectionState {
+    pub(super) fn of(node: &NodeTotals, direction: Direction) -> Self {
+        let totals: &DirectionTotals = node.direction(direction);
+        let reasons = direction.drop_reasons().iter();
+        let dropped = reasons.map(|&reason| (reason.label(), totals.dropped(reason)));
+        Self {
+            received_datagrams: totals.received,
+            forwarded_datagrams: totals.forwarded,
+            forwarded_bytes: totals.forwarded_bytes,
+            dropped_datagrams: dropped.filter(|&(_, n)| n > 0).collect(),
+        }
+    }
+}
