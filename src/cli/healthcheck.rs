@@ -5,7 +5,9 @@ use std::io::{Write, stdout};
 use std::process::ExitCode;
 use std::time::Duration;
 
-use super::agent::agent;
+use axum::http::{HeaderMap, Method, StatusCode};
+
+use super::admin_server::ask;
 use crate::harmless::harmless;
 
 /// Ask a running relay whether it is ready: exit 0 when it is, else 1 and a line that says why.
@@ -34,10 +36,12 @@ pub(super) struct Args {
 
 /// Asks once.
 pub(super) fn run(args: Args) -> anyhow::Result<ExitCode> {
-    let why = match agent(args.timeout).get(&args.url).call() {
-        Ok(answer) if answer.status() == 200 => return Ok(ExitCode::SUCCESS),
-        Ok(answer) => format!("answered {}", answer.status()),
-        Err(error) => harmless(&error.to_string()),
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+    let no_headers = HeaderMap::new();
+    let why = match runtime.block_on(ask(Method::GET, &args.url, &no_headers, args.timeout)) {
+        Ok((StatusCode::OK, _)) => return Ok(ExitCode::SUCCESS),
+        Ok((status, _)) => format!("answered {status}"),
+        Err(error) => harmless(&format!("{error:#}")),
     };
     // When nobody reads it, the exit code has to do.
     let _ = writeln!(stdout(), "not ready: {}: {why}", args.url);

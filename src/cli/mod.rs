@@ -3,7 +3,7 @@
 //! Exit codes: 0 done, 1 failed at run time, 2 bad command line or configuration, 75 not started, but
 //! another try may succeed.
 
-mod agent;
+mod admin_server;
 mod check;
 mod decode;
 mod demo;

@@ -2,6 +2,7 @@
 
 use std::io::{self, Stdout, Write, stdout};
 
+use anstream::{AutoStream, ColorChoice};
 use serde::Serialize;
 
 /// The two ways to print.
@@ -18,6 +19,11 @@ pub(super) struct Paint {
 }
 
 impl Paint {
+    /// By the rule that the help texts follow too: none in a file, or with `NO_COLOR`.
+    pub(super) fn of_stdout() -> Self {
+        Self { colour: AutoStream::choice(&stdout()) != ColorChoice::Never }
+    }
+
     pub(super) fn bold(self, text: &str) -> String {
         self.with("1", text)
     }

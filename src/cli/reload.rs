@@ -5,18 +5,17 @@ use std::io::Write;
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
-use std::thread;
 use std::time::{Duration, Instant};
 
-use anyhow::{Context, anyhow, bail};
+use anyhow::{Context, bail};
+use axum::http::Method;
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 use serde_json::Value;
-use ureq::Agent;
+use tokio::time::sleep;
 
-use super::agent::agent;
+use super::admin_server::{self, AdminServer};
 use super::output::out;
-use super::status::bearer;
 use crate::config;
 use crate::harmless::harmless_lines;
 
@@ -37,13 +36,8 @@ pub(super) struct Args {
     #[arg(long, value_name = "PID", env = "PNET_NAT_PID")]
     pid: Option<i32>,
 
-    /// Where the relay's admin server is: host and port are those of [admin] listen.
-    #[arg(long, value_name = "URL", env = "PNET_NAT_STATUS_URL")]
-    url: Option<String>,
-
-    /// File with the token, where [admin] token_file is set.
-    #[arg(long, value_name = "FILE", env = "PNET_NAT_TOKEN_FILE")]
-    token_file: Option<PathBuf>,
+    #[command(flatten)]
+    relay: admin_server::Options,
 
     /// The relay's configuration, whose [admin] says where the admin server is and what token it wants.
     #[arg(long, value_name = "FILE", env = "PNET_NAT_CONFIG")]
@@ -62,11 +56,14 @@ pub(super) struct Args {
 
 /// Reloads once.
 pub(super) fn run(args: &Args) -> anyhow::Result<ExitCode> {
-    let relay = Relay::of(args);
-    let verdict = match args.pid {
-        Some(pid) => signal(pid, relay, args.timeout)?,
-        None => relay?.post(args.timeout)?,
-    };
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+    let verdict = runtime.block_on(async {
+        let relay = Relay::of(args);
+        match args.pid {
+            Some(pid) => signal(pid, relay, args.timeout).await,
+            None => relay?.post(args.timeout).await,
+        }
+    })?;
     let shown = out().write_all(harmless_lines(&verdict.text).as_bytes());
     if !verdict.successful {
         return Ok(ExitCode::FAILURE); // whether or not somebody reads why
@@ -82,13 +79,14 @@ struct Verdict {
 }
 
 /// Sends SIGHUP and waits until a reload is over that began afterwards.
-#[expect(clippy::disallowed_methods, reason = "the admin server does not tell by itself")]
-fn signal(pid: i32, relay: anyhow::Result<Relay>, time: Duration) -> anyhow::Result<Verdict> {
-    let before = relay.and_then(|relay| {
-        let begun = number(&relay.state()?, "begun")?;
-        Ok((relay, begun))
-    });
-    // What is withdrawn has to be withdrawn, whether or not somebody can tell.
+async fn signal(pid: i32, relay: anyhow::Result<Relay>, time: Duration) -> anyhow::Result<Verdict> {
+    let before = async {
+        let relay = relay?;
+        let begun = number(&relay.state().await?, "begun")?;
+        anyhow::Ok((relay, begun))
+    };
+    let before = before.await;
+    // Even if nobody can report the outcome: a password that is withdrawn must not stay in force.
     kill(Pid::from_raw(pid), Signal::SIGHUP).with_context(|| {
         format!("process {pid} cannot be signalled; is it the relay, and yours or are you root?")
     })?;
@@ -96,9 +94,9 @@ fn signal(pid: i32, relay: anyhow::Result<Relay>, time: Duration) -> anyhow::Res
     let (relay, before) = before.context(told)?;
     let end = Instant::now() + time;
     while Instant::now() < end {
-        thread::sleep(PAUSE);
+        sleep(PAUSE).await;
         // While it takes over sockets it may be slow to answer.
-        let Ok(state) = relay.state() else { continue };
+        let Ok(state) = relay.state().await else { continue };
         if number(&state, "number")? > before {
             return Ok(Verdict::of(&state));
         }
@@ -138,16 +136,12 @@ fn items(state: &Value) -> String {
     items.map(line).collect()
 }
 
-/// The way to a relay's admin server.
-struct Relay {
-    agent: Agent,
-    url: String,
-    bearer: Option<String>,
-}
+/// The relay whose verdict is wanted.
+struct Relay(AdminServer);
 
 impl Relay {
     fn of(args: &Args) -> anyhow::Result<Self> {
-        let place = match (&args.url, &args.config) {
+        let place = match (&args.relay.url, &args.config) {
             // What is wrong with it, the relay says.
             (None, Some(file)) => {
                 config::read_text(file).ok().map(|text| config::admin_place(&text))
@@ -158,47 +152,26 @@ impl Relay {
         if !place.enabled {
             bail!("the admin server is off ([admin] enabled), and it alone tells the verdict");
         }
-        let url = match &args.url {
-            Some(url) => url.trim_end_matches('/').to_owned(),
-            None => format!("http://{}", reachable(place.listen)),
-        };
         let beside = args.config.as_deref().and_then(Path::parent).unwrap_or(Path::new(""));
-        let token = args.token_file.clone().or(place.token_file.map(|file| beside.join(file)));
-        let bearer = token.as_deref().map(bearer).transpose()?;
-        Ok(Self { agent: agent(ANSWER_TIME), url, bearer })
+        let token_file = place.token_file.map(|file| beside.join(file));
+        let listen = reachable(place.listen);
+        AdminServer::new(&args.relay, listen, token_file.as_deref(), ANSWER_TIME).map(Self)
     }
 
     /// What the relay says of its last reload.
-    fn state(&self) -> anyhow::Result<Value> {
-        let mut request = self.agent.get(format!("{}/api/v1/status", self.url));
-        if let Some(bearer) = &self.bearer {
-            request = request.header("authorization", bearer.as_str());
-        }
-        let no_answer = |error: ureq::Error| anyhow!("no answer from {}: {error}", self.url);
-        let mut answer = request.call().map_err(no_answer)?;
-        let text = answer.body_mut().read_to_string().map_err(no_answer)?;
-        if answer.status() != 200 {
-            bail!("{} answered {}: {}", self.url, answer.status().as_u16(), text.trim_end());
-        }
-        let status: Value = serde_json::from_str(&text)
-            .with_context(|| format!("{} is not the API of a pnet-nat", self.url))?;
-        Ok(status["reload"].clone())
+    async fn state(&self) -> anyhow::Result<Value> {
+        self.0.get("/api/v1/status").await?.remove("reload").with_context(|| self.0.no_api())
     }
 
     /// Asks for a reload and waits for what comes of it.
-    fn post(&self, time: Duration) -> anyhow::Result<Verdict> {
-        let mut request = agent(time).post(format!("{}/-/reload", self.url));
-        if let Some(bearer) = &self.bearer {
-            request = request.header("authorization", bearer.as_str());
-        }
-        let no_answer = |error: ureq::Error| anyhow!("no answer from {}: {error}", self.url);
-        let mut answer = request.send_empty().map_err(no_answer)?;
-        let text = answer.body_mut().read_to_string().map_err(no_answer)?;
-        match answer.status().as_u16() {
-            200 | 409 => Ok(Verdict::of(&self.state()?)),
+    async fn post(&self, time: Duration) -> anyhow::Result<Verdict> {
+        let (status, text) = self.0.ask(Method::POST, "/-/reload", time).await?;
+        let url = &self.0.url;
+        match status.as_u16() {
+            200 | 409 => Ok(Verdict::of(&self.state().await?)),
             422 => Ok(Verdict { successful: false, text: format!("reload failed\n{text}") }),
-            403 => bail!("{}: {}; or give --pid", self.url, text.trim_end()),
-            status => bail!("{} answered {status}: {}", self.url, text.trim_end()),
+            403 => bail!("{url}: {}; or give --pid", text.trim_end()),
+            status => bail!("{url} answered {status}: {}", text.trim_end()),
         }
     }
 }

@@ -16,6 +16,7 @@ use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
 use std::thread;
 use std::time::Duration;
 
+use anstream::{AutoStream, ColorChoice};
 use tracing::{Level, Metadata};
 use tracing_subscriber::fmt::MakeWriter;
 
@@ -85,7 +86,7 @@ pub fn init(format: LogFormat, level: LogLevel, service: bool) {
     if json {
         events.event_format(Json).init();
     } else {
-        let colour = terminal && !no_color();
+        let colour = AutoStream::choice(&io::stderr()) != ColorChoice::Never;
         events.fmt_fields(text::fields()).with_target(false).with_ansi(colour).init();
     }
 }
@@ -124,11 +125,6 @@ pub fn complain_of_faults(faults: &Faults) {
     } else {
         complain(faults);
     }
-}
-
-/// Whether the user wants no colours (no-color.org).
-pub(crate) fn no_color() -> bool {
-    std::env::var_os("NO_COLOR").is_some_and(|value| !value.is_empty())
 }
 
 /// The value of a field that is a list: an array in JSON, and in text the same array.

@@ -138,7 +138,8 @@ impl Budget {
 
 impl NetBudget {
     fn new(net: &Net) -> Self {
-        let requests = Requests { paid_until: Arc::default(), rate: net.max_requests.map(|rate| rate.gcra) };
+        let requests =
+            Requests { paid_until: Arc::default(), rate: net.max_requests.map(|rate| rate.gcra) };
         let pairs = Places::new(pairs(net.max_flows));
         Self { places: Places::new(net.max_flows), pairs, requests }
     }

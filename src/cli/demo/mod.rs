@@ -22,6 +22,7 @@ use tokio::sync::oneshot;
 
 use super::signals::Signals;
 use crate::admin;
+use crate::config::AdminPlace;
 use crate::datapath::Router;
 use crate::listen;
 use crate::logging;
@@ -31,9 +32,6 @@ use figures::Figures;
 use plant::Plant;
 use table::Display;
 use traffic::Traffic;
-
-/// The admin server listens here when it can, and on any free port otherwise.
-const ADMIN_PORT: u16 = 9378;
 
 /// Show four simulated server nodes, the relay, a remote client and a stranger, all on loopback.
 #[derive(Debug, clap::Args)]
@@ -59,7 +57,8 @@ pub(super) fn run(args: Args) -> anyhow::Result<ExitCode> {
 async fn demo(args: Args) -> anyhow::Result<ExitCode> {
     let plant = Plant::build().await?;
     let listen = |port| listen::tcp((Ipv4Addr::LOCALHOST, port).into(), "the demo's address");
-    let admin = TcpListener::from_std(listen(ADMIN_PORT).or_else(|_| listen(0))?)?;
+    let usual = AdminPlace::default().listen.port();
+    let admin = TcpListener::from_std(listen(usual).or_else(|_| listen(0))?)?;
     let admin_address = admin.local_addr()?;
     let router = Router::start(plant.config(admin_address)).context("the relay does not start")?;
     let router = Arc::new(router);

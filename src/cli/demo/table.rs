@@ -12,7 +12,6 @@ use std::time::Duration;
 use super::figures::{Figures, NodeFigures};
 use super::traffic::Intrusions;
 use crate::cli::output::{Paint, out};
-use crate::logging::no_color;
 
 /// Standard output, and how it is written to.
 pub(super) struct Display {
@@ -26,7 +25,7 @@ impl Display {
     /// Says what is running and where to look.
     pub(super) fn open(admin: SocketAddr) -> io::Result<Self> {
         let live = stdout().is_terminal();
-        let paint = Paint { colour: live && !no_color() };
+        let paint = Paint::of_stdout();
         let title = paint.bold("pnet-nat demo");
         writeln!(
             out(),

@@ -1,37 +1,28 @@
 //! `pnet-nat status`: what the status page shows, in the terminal.
 //!
-//! `seen` is what the API tells, `table` how it looks. Here it is asked for, once or again and again.
+//! `snapshot` is what the API answers, `table` how it is shown. Here the relay is asked, once or again
+//! and again.
 
 mod snapshot;
 mod table;
 
-use std::fs;
-use std::io::{self, IsTerminal, Write, stdout};
-use std::path::{Path, PathBuf};
+use std::io::{self, Write, stdout};
 use std::process::ExitCode;
-use std::sync::{Arc, mpsc};
 use std::time::{Duration, Instant};
 
-use anyhow::{Context, anyhow, bail};
+use anyhow::Context;
 use clap::builder::BoolishValueParser;
-use serde_json::{Map, Value, json};
+use serde_json::{Value, json};
 use terminal_size::{Height, Width, terminal_size_of};
-use tokio::sync::oneshot;
-use ureq::Agent;
 
-use super::agent::agent;
+use super::admin_server::{self, AdminServer};
 use super::output::{Format, Paint, out};
 use super::signals::Signals;
-use crate::config::Token;
+use crate::config::AdminPlace;
 use crate::harmless::{harmless, harmless_json, harmless_value};
-use crate::logging::no_color;
-use crate::thread::{self, ThreadError};
 
 use snapshot::Snapshot;
 use table::Layout;
-
-/// As many octets as an answer may have: nets with 8,000 nodes make 6 MB.
-const MOST_OCTETS: u64 = 64 << 20;
 
 /// Show nets and nodes of a running relay: who answers, how fast, and what is dropped.
 #[derive(Debug, clap::Args)]
@@ -40,18 +31,8 @@ const MOST_OCTETS: u64 = 64 << 20;
     \x20         pnet-nat status --format json | jq '.nets[].silent_nodes'\n\
     Exit codes: 0 shown, whatever there is to see; 1 no answer, or none of a relay.")]
 pub(super) struct Args {
-    /// Where the relay's admin server is: host and port are those of [admin] listen.
-    #[arg(
-        long,
-        env = "PNET_NAT_STATUS_URL",
-        value_name = "URL",
-        default_value = "http://127.0.0.1:9378"
-    )]
-    url: String,
-
-    /// File with the token, where [admin] token_file is set.
-    #[arg(long, env = "PNET_NAT_TOKEN_FILE", value_name = "FILE")]
-    token_file: Option<PathBuf>,
+    #[command(flatten)]
+    relay: admin_server::Options,
 
     /// How long to wait for the answer.
     #[arg(
@@ -96,47 +77,45 @@ pub(super) struct Args {
 /// Shows it once, or until Ctrl-C.
 pub(super) fn run(args: Args) -> anyhow::Result<ExitCode> {
     let relay = Relay::new(&args)?;
-    let Some(interval) = args.watch else {
-        let text = match args.format {
-            Format::Json => format!("{}\n", harmless_json(&relay.ask()?.to_string())),
-            Format::Text => paper(args.full).draw(&relay.read(relay.ask()?)?, None, &relay.url),
-        };
-        out().write_all(text.as_bytes())?;
-        return Ok(ExitCode::SUCCESS);
-    };
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
-    runtime.block_on(watch(&args, relay.into(), interval))
+    runtime.block_on(async {
+        match args.watch {
+            Some(interval) => watch(&args, &relay, interval).await,
+            None => once(&args, &relay).await,
+        }
+    })
 }
 
-/// A relay that does not answer now may do so again: that is shown, and is no end.
-async fn watch(args: &Args, relay: Arc<Relay>, interval: Duration) -> anyhow::Result<ExitCode> {
+async fn once(args: &Args, relay: &Relay) -> anyhow::Result<ExitCode> {
+    let answer = relay.ask().await?;
+    let text = match args.format {
+        Format::Json => json_line(&answer),
+        Format::Text => paper(args.full).draw(&relay.read(answer)?, None, &relay.server.url),
+    };
+    out().write_all(text.as_bytes())?;
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Goes on when the relay does not answer: it may do so again.
+async fn watch(args: &Args, relay: &Relay, interval: Duration) -> anyhow::Result<ExitCode> {
     let mut signals = Signals::new()?;
-    let asking = asking(Arc::clone(&relay))?;
     let mut before: Option<(Instant, Snapshot)> = None;
     loop {
         let now = Instant::now();
-        let (reply, answer) = oneshot::channel();
-        // A thread that is gone drops the reply.
-        let _ = asking.send(reply);
         let answer = tokio::select! {
-            answer = answer => answer?,
+            answer = relay.ask() => answer,
             _ = signals.next() => return Ok(ExitCode::SUCCESS),
         };
         let text = match (answer, args.format) {
-            (Ok(answer), Format::Json) => format!("{}\n", harmless_json(&answer.to_string())),
+            (Ok(answer), Format::Json) => json_line(&answer),
             (Ok(answer), Format::Text) => {
                 let seen = relay.read(answer)?;
                 let earlier = before.as_ref().map(|(then, seen)| (now - *then, seen));
-                let text = paper(args.full).draw(&seen, earlier, &relay.url);
+                let text = paper(args.full).draw(&seen, earlier, &relay.server.url);
                 before = Some((now, seen));
                 text
             }
-            (Err(error), Format::Json) => {
-                format!(
-                    "{}\n",
-                    harmless_json(&json!({ "error": format!("{error:#}") }).to_string())
-                )
-            }
+            (Err(error), Format::Json) => json_line(&json!({ "error": format!("{error:#}") })),
             (Err(error), Format::Text) => {
                 format!("pnet-nat: {}\n", harmless(&format!("{error:#}")))
             }
@@ -149,20 +128,9 @@ async fn watch(args: &Args, relay: Arc<Relay>, interval: Duration) -> anyhow::Re
     }
 }
 
-/// Asks when it is told to, in a thread of its own: a signal is heeded while nobody answers.
-fn asking(relay: Arc<Relay>) -> Result<mpsc::Sender<Reply>, ThreadError> {
-    let (asking, replies) = mpsc::channel::<Reply>();
-    thread::start("ask", move || {
-        for reply in replies {
-            // Who asked may have gone; then nobody wants to know.
-            let _ = reply.send(relay.ask());
-        }
-    })?;
-    Ok(asking)
+fn json_line(value: &Value) -> String {
+    harmless_json(&value.to_string()) + "\n"
 }
-
-/// Where an answer goes.
-type Reply = oneshot::Sender<anyhow::Result<Value>>;
 
 /// Shows a table in place of the one before it, as far as the terminal has room.
 fn show(text: &str, format: Format) -> io::Result<()> {
@@ -184,11 +152,7 @@ fn show(text: &str, format: Format) -> io::Result<()> {
 }
 
 fn paper(full: bool) -> Layout {
-    Layout {
-        paint: Paint { colour: stdout().is_terminal() && !no_color() },
-        width: terminal().map(|(width, _)| width.0),
-        full,
-    }
+    Layout { paint: Paint::of_stdout(), width: terminal().map(|(width, _)| width.0), full }
 }
 
 /// The size of the terminal that stdout is; none where it is another thing.
@@ -196,30 +160,30 @@ fn terminal() -> Option<(Width, Height)> {
     terminal_size_of(stdout())
 }
 
-/// The way to a relay's API.
+/// A relay, and which of its nets to show.
 struct Relay {
-    agent: Agent,
-    url: String,
+    server: AdminServer,
     net: Option<String>,
-    /// The value of `Authorization`.
-    bearer: Option<String>,
 }
 
 impl Relay {
     fn new(args: &Args) -> anyhow::Result<Self> {
-        let agent = agent(args.timeout);
-        let url = args.url.trim_end_matches('/').to_owned();
-        let bearer = args.token_file.as_deref().map(bearer).transpose()?;
-        Ok(Self { agent, url, net: args.net.clone(), bearer })
+        let usual = AdminPlace::default().listen;
+        let server = AdminServer::new(&args.relay, usual, None, args.timeout)?;
+        Ok(Self { server, net: args.net.clone() })
     }
 
     /// All that is shown, as one object.
-    fn ask(&self) -> anyhow::Result<Value> {
-        let nets = self.get("/api/v1/nets", self.net.as_deref())?.remove("nets");
-        let nets = nets.with_context(|| not_the_api(&self.url))?;
+    async fn ask(&self) -> anyhow::Result<Value> {
+        // Whatever is in the name, as a query has it.
+        let encoded = |net: &String| net.bytes().map(|octet| format!("%{octet:02x}")).collect();
+        let query = self.net.as_ref().map(encoded).map(|net: String| format!("?net={net}"));
+        let nets = format!("/api/v1/nets{}", query.unwrap_or_default());
+        let nets = self.server.get(&nets).await?.remove("nets");
+        let nets = nets.with_context(|| self.server.no_api())?;
         Ok(json!({
-            "status": self.get("/api/v1/status", None)?,
-            "drop_reasons": self.get("/api/v1/drop-reasons", None)?,
+            "status": self.server.get("/api/v1/status").await?,
+            "drop_reasons": self.server.get("/api/v1/drop-reasons").await?,
             "nets": nets,
         }))
     }
@@ -227,43 +191,4 @@ impl Relay {
     fn read(&self, answer: Value) -> anyhow::Result<Snapshot> {
         Snapshot::read(harmless_value(answer), self.net.is_some())
     }
-
-    fn get(&self, path: &str, net: Option<&str>) -> anyhow::Result<Map<String, Value>> {
-        let url = format!("{}{path}", self.url);
-        let mut request = self.agent.get(&url);
-        if let Some(net) = net {
-            request = request.query("net", net);
-        }
-        if let Some(bearer) = &self.bearer {
-            request = request.header("authorization", bearer.as_str());
-        }
-        let no_answer = |error: ureq::Error| {
-            anyhow!(
-                "no answer from {}: {error}; is the relay running, and is this its [admin] listen? \
-                 See --url",
-                self.url
-            )
-        };
-        let mut answer = request.call().map_err(no_answer)?;
-        let text = answer.body_mut().with_config().limit(MOST_OCTETS).read_to_string();
-        let text = text.map_err(no_answer)?;
-        match (answer.status().as_u16(), &self.bearer) {
-            (200, _) => serde_json::from_str(&text).with_context(|| not_the_api(&url)),
-            (401, None) => bail!("{url} asks for a token: --token-file, as in [admin] token_file"),
-            (401, Some(_)) => bail!("{url} has another token than the one of --token-file"),
-            (status, _) => bail!("{url} answered {status}: {}", harmless(text.trim_end())),
-        }
-    }
-}
-
-fn not_the_api(url: &str) -> String {
-    format!("{url} is not the API of a pnet-nat")
-}
-
-/// The value of `Authorization` with the token in a file.
-pub(super) fn bearer(path: &Path) -> anyhow::Result<String> {
-    let text = fs::read_to_string(path).with_context(|| format!("{path:?} cannot be read"))?;
-    let token = text.trim_end_matches(['\n', '\r']);
-    Token::new(token.as_bytes()).with_context(|| format!("{path:?}"))?;
-    Ok(format!("Bearer {token}"))
 }

@@ -179,9 +179,9 @@ impl Buckets {
     /// Whether one more wrong password is bearable.
     #[inline]
     fn bear(&self, now: Nanos, key: u64) -> bool {
-        self.sets[set(key)].iter().all(|offender| {
-            offender.key != key || self.rate.has_token(offender.forgiven_at, now)
-        })
+        self.sets[set(key)]
+            .iter()
+            .all(|offender| offender.key != key || self.rate.has_token(offender.forgiven_at, now))
     }
 
     /// Counts a refused request, and tells when it is the first one.
