@@ -116,7 +116,7 @@ pub(crate) struct NoSockets {
 }
 
 impl Effects for NoSockets {
-    fn open_upstream(&mut self, id: UpstreamId, _: NetId, _ipv4: bool) -> Option<u16> {
+    fn open_upstream(&mut self, _: &Table, id: UpstreamId, _: NetId, _ipv4: bool) -> Option<u16> {
         let free = self.open < self.limit;
         self.open += usize::from(free);
         free.then_some(id.0 as u16)

@@ -79,7 +79,7 @@ struct Sockets {
 }
 
 impl Effects for Sockets {
-    fn open_upstream(&mut self, id: UpstreamId, _: NetId, ipv4: bool) -> Option<u16> {
+    fn open_upstream(&mut self, _: &Table, id: UpstreamId, _: NetId, ipv4: bool) -> Option<u16> {
         assert!(ipv4 && !self.ports.contains_key(&id), "opened twice");
         if self.ports.len() >= self.limit {
             return None;
@@ -104,7 +104,7 @@ impl Effects for Sockets {
         self.just_closed.push((flow.upstream_port, server, flow.client));
     }
 
-    fn throttling_begun(&mut self, _: &Throttled, _: MappingId) {
+    fn throttling_begun(&mut self, _: &Table, _: &Throttled, _: MappingId) {
         self.throttled += 1;
     }
 

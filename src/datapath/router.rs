@@ -22,8 +22,7 @@ use crate::datapath::socket::filtered::NetDrops;
 use crate::datapath::socket::handle::Handle;
 use crate::datapath::socket::port_pool::Ports;
 use crate::datapath::socket::setup::{self, Missing, Opened, StartError};
-use crate::datapath::socket::upstream::Shared;
-use crate::datapath::socket::worker::Worker;
+use crate::datapath::socket::worker::{Shared, Worker};
 use crate::listen;
 use crate::observe::audit::Audit;
 

@@ -13,8 +13,15 @@ use super::throttle::Throttled;
 /// throttling begins or ends, not for each datagram. Where nothing is said, a method does nothing.
 pub trait Effects {
     /// Opens the upstream socket `id` for IPv4 or IPv6 servers and returns its local port; none when
-    /// no socket is free. A client of `net` needs it, but it may serve clients of other nets too.
-    fn open_upstream(&mut self, id: UpstreamId, net: NetId, ipv4: bool) -> Option<u16>;
+    /// no socket is free. A client of `net`, of this table, needs it, but it may serve clients of
+    /// other nets too.
+    fn open_upstream(
+        &mut self,
+        table: &Table,
+        id: UpstreamId,
+        net: NetId,
+        ipv4: bool,
+    ) -> Option<u16>;
 
     /// Closes the upstream socket `id`.
     fn close_upstream(&mut self, id: UpstreamId);
@@ -43,9 +50,9 @@ pub trait Effects {
     fn flow_closed(&mut self, _table: &Table, _flow: &FlowRecord, _reason: CloseReason) {}
 
     /// A sender, or an address as a whole, sent too many wrong passwords, and a request of it to this
-    /// public port was refused for the first time. Strangers cause this, and one with many addresses
+    /// public port of the table was refused for the first time. Strangers cause this, and one with many addresses
     /// causes it often.
-    fn throttling_begun(&mut self, _throttled: &Throttled, _mapping: MappingId) {}
+    fn throttling_begun(&mut self, _table: &Table, _throttled: &Throttled, _mapping: MappingId) {}
 
     /// Throttling is over: all wrong passwords are forgiven, or others took the place in the table.
     fn throttling_ended(&mut self, _throttled: &Throttled) {}

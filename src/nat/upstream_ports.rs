@@ -13,12 +13,13 @@ use std::net::{IpAddr, SocketAddr};
 use foldhash::fast::SeedableRandomState;
 use slab::Slab;
 
-use super::budget::{Budget, PairPlace};
+use super::budget::PairPlace;
 use super::effects::Effects;
 use super::ids::UpstreamId;
 use super::queue::Queue;
 use super::reason::DropReason;
-use super::table::Mapping;
+use super::rules::Rules;
+use super::table::{Mapping, Table};
 use super::time::Nanos;
 
 /// How long a pair that a flow gave up is kept from other clients.
@@ -123,7 +124,7 @@ impl Upstreams {
         &mut self,
         owner: Owner,
         mapping: &Mapping,
-        budget: &Budget,
+        rules: &Rules,
         effects: &mut impl Effects,
     ) -> Result<(UpstreamId, u16), DropReason> {
         let server = mapping.server;
@@ -134,10 +135,10 @@ impl Upstreams {
             pair.state = PairState::Used; // what rests for this very client
             return Ok((socket, self.sockets[socket.key()].port));
         }
-        let place = budget.take_pair(mapping.net).ok_or(DropReason::FlowLimit)?;
+        let place = rules.budget.take_pair(mapping.net).ok_or(DropReason::FlowLimit)?;
         let socket = home
             .or_else(|| self.probe(owner, server))
-            .or_else(|| self.open(mapping, effects))
+            .or_else(|| self.open(&rules.table, mapping, effects))
             .or_else(|| self.search(owner, server))
             .ok_or(DropReason::UpstreamExhausted)?;
         let used = Lease { owner, state: PairState::Used, _place: place };
@@ -270,10 +271,15 @@ impl Upstreams {
         sockets.find(|&id| self.may_use(id, owner, server))
     }
 
-    fn open(&mut self, to: &Mapping, effects: &mut impl Effects) -> Option<UpstreamId> {
+    fn open(
+        &mut self,
+        table: &Table,
+        to: &Mapping,
+        effects: &mut impl Effects,
+    ) -> Option<UpstreamId> {
         let place = self.sockets.vacant_entry();
         let socket = UpstreamId(u32::try_from(place.key()).ok()?);
-        let port = effects.open_upstream(socket, to.net, to.server.is_ipv4())?;
+        let port = effects.open_upstream(table, socket, to.net, to.server.is_ipv4())?;
         let (ipv4, at) = (to.server.is_ipv4(), self.open.len());
         place.insert(Socket { ipv4, port, place: at, pairs: 0, state: SocketState::Open });
         self.open.push(socket);

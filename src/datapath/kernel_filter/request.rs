@@ -214,7 +214,7 @@ mod tests {
     struct NoSockets;
 
     impl Effects for NoSockets {
-        fn open_upstream(&mut self, _: UpstreamId, _: NetId, _: bool) -> Option<u16> {
+        fn open_upstream(&mut self, _: &Table, _: UpstreamId, _: NetId, _: bool) -> Option<u16> {
             Some(50_000)
         }
         fn close_upstream(&mut self, _: UpstreamId) {}

@@ -15,8 +15,7 @@ use crate::nat::{Core, ListenerId};
 use super::event_key::EventKey;
 use super::public::{Listener, Listeners};
 use super::setup::StartError;
-use super::upstream::Shared;
-use super::worker::{Worker, WorkerSetup};
+use super::worker::{Shared, Worker, WorkerSetup};
 
 /// The way to a worker.
 #[derive(Debug)]
@@ -47,7 +46,6 @@ impl Handle {
         let worker = Worker::new(WorkerSetup {
             core,
             listeners,
-            table: Arc::clone(&config.table),
             shared: shared.clone(),
             upstream_limit,
             settings: config.datapath.clone(),

@@ -43,7 +43,7 @@ impl Core {
         };
         let budget = &self.rules.budget;
         let (upstream, upstream_port) =
-            self.upstreams.assign(owner, &mapping, budget, effects).inspect_err(|_| {
+            self.upstreams.assign(owner, &mapping, &self.rules, effects).inspect_err(|_| {
                 budget.give(mapping.net);
                 budget.give_request(mapping.net);
             })?;

@@ -114,10 +114,12 @@ impl Core {
         }
         // Wrong passwords under the address of a known client cannot lock it out either.
         let is_known = || self.rules.known.includes(net, client.ip(), now);
-        if !self.throttle.admits(now, client, arrival.mapping, is_known, effects) {
-            return Err(DropReason::Throttled);
-        }
-        Ok(())
+        self.throttle.admits(now, client, is_known).map_err(|begun| {
+            if let Some(begun) = begun {
+                effects.throttling_begun(&self.rules.table, &begun, arrival.mapping);
+            }
+            DropReason::Throttled
+        })
     }
 
     /// The credential that the request's password is; none for a request without a password.

@@ -95,7 +95,7 @@ struct FakeEffects {
 }
 
 impl Effects for FakeEffects {
-    fn open_upstream(&mut self, id: UpstreamId, _: NetId, ipv4: bool) -> Option<u16> {
+    fn open_upstream(&mut self, _: &Table, id: UpstreamId, _: NetId, ipv4: bool) -> Option<u16> {
         assert!(ipv4 && !self.ports.contains_key(&id), "opened twice");
         if self.ports.len() >= self.limit {
             return None;
@@ -130,7 +130,7 @@ impl Effects for FakeEffects {
         self.closed_flows += 1;
     }
 
-    fn throttling_begun(&mut self, throttled: &Throttled, _: MappingId) {
+    fn throttling_begun(&mut self, _: &Table, throttled: &Throttled, _: MappingId) {
         assert_eq!((throttled.age, throttled.refused), (Duration::ZERO, 1));
         self.throttled += 1;
     }

@@ -19,7 +19,6 @@ use foldhash::fast::SeedableRandomState;
 
 use super::effects::Effects;
 use super::gcra::Gcra;
-use super::ids::MappingId;
 use super::table::Limits;
 use super::time::Nanos;
 
@@ -84,17 +83,15 @@ impl Throttle {
         self.clamp_is_due = true;
     }
 
-    /// Whether a password that this sender sent to this public port is looked at: always, where the
-    /// sender is known.
+    /// Whether a password of this sender is looked at: always, where the sender is known. Where it is
+    /// the first that is not, tells so.
     #[inline]
     pub(super) fn admits(
         &mut self,
         now: Nanos,
         sender: SocketAddr,
-        mapping: MappingId,
         is_known: impl FnOnce() -> bool,
-        effects: &mut impl Effects,
-    ) -> bool {
+    ) -> Result<(), Option<Throttled>> {
         self.clamp_if_due(now);
         let address_key = self.address_key(sender);
         let (refusing, key) = if !self.addresses.bear(now, address_key) {
@@ -102,17 +99,11 @@ impl Throttle {
         } else {
             let sender_key = self.sender_key(sender);
             if self.senders.bear(now, sender_key) {
-                return true;
+                return Ok(());
             }
             (&mut self.senders, sender_key)
         };
-        if is_known() {
-            return true;
-        }
-        if let Some(begun) = refusing.note_refusal(now, key, sender) {
-            effects.throttling_begun(&begun, mapping);
-        }
-        false
+        if is_known() { Ok(()) } else { Err(refusing.note_refusal(now, key, sender)) }
     }
 
     /// Notes a wrong password of this sender.

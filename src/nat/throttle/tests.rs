@@ -1,6 +1,7 @@
 //! Who is let through and who is told of; what a crowd of strangers can do, and cannot.
 
 use super::*;
+use crate::nat::Table;
 use crate::nat::{NetId, UpstreamId};
 use std::net::{Ipv4Addr, Ipv6Addr};
 
@@ -22,14 +23,10 @@ struct Told {
 }
 
 impl Effects for Told {
-    fn open_upstream(&mut self, _: UpstreamId, _: NetId, _: bool) -> Option<u16> {
+    fn open_upstream(&mut self, _: &Table, _: UpstreamId, _: NetId, _: bool) -> Option<u16> {
         None
     }
     fn close_upstream(&mut self, _: UpstreamId) {}
-    fn throttling_begun(&mut self, throttled: &Throttled, _: MappingId) {
-        self.begun += 1;
-        self.first_begun.get_or_insert(throttled.clone());
-    }
     fn throttling_ended(&mut self, throttled: &Throttled) {
         self.ended += 1;
         self.last_ended = Some(throttled.clone());
@@ -46,7 +43,16 @@ impl Rig {
     }
 
     fn admits(&mut self, now: Nanos, sender: SocketAddr) -> bool {
-        self.throttle.admits(now, sender, MappingId(0), || false, &mut self.told)
+        match self.throttle.admits(now, sender, || false) {
+            Ok(()) => true,
+            Err(begun) => {
+                if let Some(begun) = begun {
+                    self.told.begun += 1;
+                    self.told.first_begun.get_or_insert(begun);
+                }
+                false
+            }
+        }
     }
 
     /// A request with a wrong password; tells whether the password was looked at.

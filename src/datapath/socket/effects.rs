@@ -1,0 +1,77 @@
+//! What a worker does for its core: sockets, the system's routes, the audit log.
+
+use std::net::SocketAddr;
+use std::sync::Arc;
+
+use crate::nat::{
+    Arrival, CloseReason, Effects, FlowRecord, MappingId, NetId, Table, Throttled, UpstreamId,
+};
+use crate::observe::audit::Audit;
+use crate::observe::warnings::RateLimitedWarnings;
+
+use super::public::Listeners;
+use super::sys::options;
+use super::upstream::UpstreamSockets;
+use super::way_back;
+
+/// The sockets of a worker, and the way to the audit log.
+pub(super) struct WorkerEffects {
+    /// Where requests arrive, and from where answers leave.
+    pub public: Listeners,
+    /// Towards the servers.
+    pub upstream: UpstreamSockets,
+    pub audit: Arc<Audit>,
+    pub warnings: RateLimitedWarnings,
+}
+
+impl Effects for WorkerEffects {
+    fn open_upstream(
+        &mut self,
+        table: &Table,
+        id: UpstreamId,
+        net: NetId,
+        ipv4: bool,
+    ) -> Option<u16> {
+        if !self.upstream.may_open(ipv4) {
+            return None; // counted as upstream_exhausted, and told by the report of drops
+        }
+        let opened = self.upstream.open(id, ipv4);
+        let what = "cannot open an upstream socket";
+        opened.inspect_err(|error| self.warnings.note_of(net, table, error, what)).ok()
+    }
+
+    fn close_upstream(&mut self, id: UpstreamId) {
+        self.upstream.close(id);
+    }
+
+    fn has_upstream_port(&self, port: u16) -> bool {
+        self.upstream.ports().is_taken(port)
+    }
+
+    fn is_own_address(&mut self, address: SocketAddr) -> bool {
+        // There is no way to an address that is refused.
+        options::is_own(address, self.upstream.ports()).unwrap_or(false)
+    }
+
+    fn can_answer(&mut self, arrival: &Arrival) -> bool {
+        let Arrival { listener, public_address, client, .. } = *arrival;
+        let listener = self.public.get(listener);
+        listener.is_none_or(|listener| way_back::exists(listener, public_address, client))
+    }
+
+    fn flow_opened(&mut self, table: &Table, flow: &FlowRecord) {
+        self.audit.flow_opened(table, flow);
+    }
+
+    fn flow_closed(&mut self, table: &Table, flow: &FlowRecord, reason: CloseReason) {
+        self.audit.flow_closed(table, flow, reason);
+    }
+
+    fn throttling_begun(&mut self, table: &Table, throttled: &Throttled, mapping: MappingId) {
+        self.audit.throttling_begun(table, throttled, mapping);
+    }
+
+    fn throttling_ended(&mut self, throttled: &Throttled) {
+        self.audit.throttling_ended(throttled);
+    }
+}

@@ -1,0 +1,81 @@
+//! What the control plane asks of a worker, done between two datagrams.
+
+use std::mem;
+use std::sync::Arc;
+use std::time::Instant;
+
+use crate::config::Datapath;
+use crate::datapath::commands::{Command, WorkerReload};
+use crate::datapath::socket::busy_poll::BusyPoll;
+use crate::datapath::socket::effects::WorkerEffects;
+use crate::datapath::socket::public::Listeners;
+use crate::nat::Table;
+use crate::observe::warnings::RateLimitedWarnings;
+
+use super::Worker;
+
+impl Worker {
+    #[cold]
+    pub(super) fn handle_commands(&mut self, now: Instant) {
+        // Only now is the flag down: what is asked from here on wakes us again.
+        let _ = self.wake.read();
+        while let Ok(command) = self.commands.try_recv() {
+            // Who asked may have gone; then nobody wants to know.
+            match command {
+                Command::Ping(reply) => _ = reply.try_send(()),
+                Command::Flows(limit, reply) => {
+                    let flows = self.core.flows(now).take(limit).collect();
+                    _ = reply.try_send((Arc::clone(self.core.table()), flows));
+                }
+                Command::Reload(next, reply) => {
+                    self.reload(*next, now);
+                    self.reloading = Some(reply);
+                }
+                Command::CloseLeft(reply) => self.closing = Some(reply),
+                Command::Drain(end) => {
+                    self.drain_until = Some(end);
+                    for (_, listener) in self.effects.public.iter() {
+                        let _ = self.epoll.delete(&listener.socket);
+                    }
+                }
+            }
+        }
+    }
+
+    /// Goes over to another configuration, between two datagrams. It holds from the next one on;
+    /// the flows follow some at a time.
+    fn reload(&mut self, next: WorkerReload, now: Instant) {
+        while self.reloading.is_some() {
+            self.tidy(now);
+        }
+        self.flush(now); // what waits to be sent is counted under the table that it came by
+        let WorkerReload { succession, listeners, upstream_limit, settings } = next;
+        let before = mem::replace(&mut self.effects.public, listeners);
+        let old = Arc::clone(self.core.table());
+        self.core.reload(now, succession, &mut self.effects);
+        for (id, was) in before.iter() {
+            let is = self.effects.public.get(id);
+            if is.is_none_or(|is| !Arc::ptr_eq(&is.drops, &was.drops)) {
+                was.account();
+            }
+        }
+        self.follow_core(&old, &before, upstream_limit, &settings);
+    }
+
+    /// Has all that surrounds the core go over to the core's table.
+    pub(super) fn follow_core(
+        &mut self,
+        old: &Table,
+        before: &Listeners,
+        upstream_limit: usize,
+        settings: &Datapath,
+    ) {
+        let table = self.core.table();
+        let WorkerEffects { public, upstream, warnings, .. } = &mut self.effects;
+        *warnings = RateLimitedWarnings::default();
+        self.floods.reload(settings.prefilter, (old, table), before, public);
+        upstream.reload(upstream_limit, settings.receive_buffer, table, warnings);
+        self.strays.reload(settings, table, upstream);
+        self.busy = BusyPoll::new(settings.busy_poll);
+    }
+}

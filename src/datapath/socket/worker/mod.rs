@@ -1,0 +1,206 @@
+//! One worker: its public sockets, its upstream sockets, its core.
+//!
+//! A wake-up takes what is ready, at most its quota of each socket, lets the core judge it, and sends
+//! what may pass. A socket that has more waits for its next turn, so a flood on one port does not
+//! starve the others, nor the responses.
+
+mod commands;
+mod relay;
+
+use std::io;
+use std::sync::Arc;
+use std::sync::mpsc::{Receiver, SyncSender};
+use std::time::{Duration, Instant};
+
+use nix::sys::epoll::{Epoll, EpollEvent, EpollTimeout};
+use nix::sys::eventfd::EventFd;
+
+use crate::config::Datapath;
+use crate::nat::Core;
+
+use crate::datapath::commands::Command;
+use crate::datapath::socket::busy_poll::BusyPoll;
+use crate::datapath::socket::effects::WorkerEffects;
+use crate::datapath::socket::event_key::EventKey;
+use crate::datapath::socket::filtered::NetDrops;
+use crate::datapath::socket::flood_guard::FloodGuard;
+use crate::datapath::socket::port_pool::Ports;
+use crate::datapath::socket::public::Listeners;
+use crate::datapath::socket::receive_quota::ReceiveQuota;
+use crate::datapath::socket::stray_guard::StrayGuard;
+use crate::datapath::socket::sys::batch::Batch;
+use crate::datapath::socket::sys::epoll_wait::wait;
+use crate::datapath::socket::ticker::Ticker;
+use crate::datapath::socket::upstream::UpstreamSockets;
+use crate::observe::audit::Audit;
+use crate::observe::warnings::RateLimitedWarnings;
+
+/// How long a stopping worker waits for one more answer before it looks whether any is due.
+const DRAIN_TICK: Duration = Duration::from_millis(20);
+/// Ready sockets taken from the kernel at once.
+const EVENTS: usize = 256;
+
+/// Everything one worker thread owns.
+pub(in crate::datapath) struct Worker {
+    core: Core,
+    effects: WorkerEffects,
+    epoll: Arc<Epoll>,
+    batch: Batch,
+    quota: ReceiveQuota,
+    commands: Receiver<Command>,
+    drain_until: Option<Instant>,
+    /// Something more is to be closed than was at once.
+    expiring: bool,
+    /// Who waits until all flows have gone over to another configuration.
+    reloading: Option<SyncSender<usize>>,
+    /// Who waits until sockets are closed whose ports are wanted.
+    closing: Option<SyncSender<()>>,
+    ticker: Ticker,
+    wake: Arc<EventFd>,
+    floods: FloodGuard,
+    strays: StrayGuard,
+    busy: BusyPoll,
+}
+
+/// What the workers have in common.
+#[derive(Clone, Debug)]
+pub(in crate::datapath) struct Shared {
+    pub audit: Arc<Audit>,
+    pub ports: Arc<Ports>,
+    /// What the kernel drops on the upstream sockets.
+    pub drops: Arc<NetDrops>,
+}
+
+/// What a worker is built from.
+pub(in crate::datapath) struct WorkerSetup {
+    pub core: Core,
+    /// Watched by `epoll` already.
+    pub listeners: Listeners,
+    pub shared: Shared,
+    pub upstream_limit: usize,
+    pub settings: Datapath,
+    pub started: Instant,
+    pub commands: Receiver<Command>,
+    pub epoll: Arc<Epoll>,
+    pub wake: Arc<EventFd>,
+}
+
+impl Worker {
+    pub(in crate::datapath) fn new(setup: WorkerSetup) -> io::Result<Self> {
+        let WorkerSetup { core, listeners, epoll, wake, settings, started, .. } = setup;
+        let Shared { audit, ports, drops } = setup.shared;
+        epoll.add(&*wake, EventKey::Wake.arrivals())?;
+        let effects = WorkerEffects {
+            public: listeners,
+            upstream: UpstreamSockets::new(Arc::clone(&epoll), ports, drops),
+            audit,
+            warnings: RateLimitedWarnings::default(),
+        };
+        let mut worker = Self {
+            core,
+            effects,
+            ticker: Ticker::new(&epoll)?,
+            epoll,
+            batch: Batch::new(),
+            quota: ReceiveQuota::default(),
+            commands: setup.commands,
+            drain_until: None,
+            expiring: false,
+            reloading: None,
+            closing: None,
+            wake,
+            floods: FloodGuard::new(started),
+            strays: StrayGuard::new(started),
+            busy: BusyPoll::new(settings.busy_poll),
+        };
+        let table = Arc::clone(worker.core.table());
+        worker.follow_core(&table, &Listeners::default(), setup.upstream_limit, &settings);
+        Ok(worker)
+    }
+
+    /// Relays until told to drain, and drained.
+    pub(in crate::datapath) fn run(mut self) {
+        let mut events = [EpollEvent::empty(); EVENTS];
+        loop {
+            let ready = match wait(&self.epoll, &mut events, self.time_out()) {
+                Ok(ready) => ready,
+                Err(nix::errno::Errno::EINTR) => 0,
+                Err(error) => {
+                    self.effects.warnings.note(&error.into(), "cannot wait for datagrams");
+                    0
+                }
+            };
+            let now = Instant::now();
+            self.quota.next_turn();
+            self.floods.next_turn();
+            for event in &events[..ready] {
+                self.handle_event(EventKey::from_key(event.data()), now);
+            }
+            self.flush(now);
+            self.tidy(now);
+            self.busy.note(now, ready);
+            self.ticker.run(!self.core.is_idle() || !self.floods.is_quiet());
+            if let Some(end) = self.drain_until
+                && (now >= end || (ready == 0 && !self.core.awaits_answers(now)))
+            {
+                break self.core.shut_down(now, &mut self.effects);
+            }
+        }
+    }
+
+    fn time_out(&self) -> EpollTimeout {
+        let at_once = self.busy.goes_on() || self.floods.is_looking();
+        let wait = match self.drain_until {
+            _ if at_once || self.expiring || self.reloading.is_some() => Duration::ZERO,
+            Some(_) => DRAIN_TICK,
+            None => return EpollTimeout::NONE,
+        };
+        EpollTimeout::try_from(wait).unwrap_or(EpollTimeout::ZERO)
+    }
+
+    fn handle_event(&mut self, key: EventKey, now: Instant) {
+        self.make_room(now);
+        let received = match key {
+            EventKey::Public(_) if self.drain_until.is_some() => return,
+            EventKey::Public(id) => self.relay_requests(id, now),
+            EventKey::Upstream(id) => self.relay_responses(id, now),
+            EventKey::Wake => return self.handle_commands(now),
+            EventKey::Tick => return self.tick(),
+        };
+        self.batch.keep(received);
+        self.quota.note(key, received);
+    }
+
+    /// Does some of what concerns many flows, so that datagrams have their turns in between.
+    #[inline]
+    fn tidy(&mut self, now: Instant) {
+        if self.floods.is_looking() {
+            self.floods.end_quiet_floods(&self.effects.public, self.core.table());
+        }
+        if self.expiring {
+            self.expiring = self.core.expire(now, &mut self.effects);
+        }
+        if self.reloading.is_some()
+            && let Some(flows_closed) = self.core.go_over(now, &mut self.effects)
+            && let Some(reply) = self.reloading.take()
+        {
+            // Who asked may have gone; then nobody wants to know.
+            let _ = reply.try_send(flows_closed);
+        }
+        if self.closing.is_some()
+            && !self.core.close_left(now, &mut self.effects)
+            && let Some(reply) = self.closing.take()
+        {
+            let _ = reply.try_send(());
+        }
+    }
+
+    /// What has to be looked at about once a second.
+    #[cold]
+    fn tick(&mut self) {
+        self.ticker.read();
+        self.expiring = true;
+        self.strays.account(&mut self.effects.upstream);
+        self.floods.begin_round();
+    }
+}

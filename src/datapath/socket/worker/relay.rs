@@ -1,0 +1,120 @@
+//! Datagrams through a worker: from a public socket to a server, and back.
+
+use std::os::fd::AsFd;
+use std::time::Instant;
+
+use crate::datapath::kernel_filter::request;
+use crate::datapath::socket::effects::WorkerEffects;
+use crate::datapath::socket::event_key::EventKey;
+use crate::datapath::socket::public::Listener;
+use crate::datapath::socket::sys::batch::{Destination, Tag};
+use crate::nat::{Arrival, Direction, DropReason, ListenerId, UpstreamId};
+
+use super::Worker;
+
+impl Worker {
+    pub(super) fn relay_requests(&mut self, id: ListenerId, now: Instant) -> usize {
+        // Its socket may be closed, or not have its place yet.
+        let Some(listener) = self.effects.public.get(id) else { return 0 };
+        let most = self.quota.most(EventKey::Public(id));
+        let received = self.batch.receive(listener.socket.as_fd(), most, listener.destination());
+        let received = received.unwrap_or_else(|error| {
+            let what = "cannot receive on a public socket";
+            self.effects.warnings.note_of(listener.net, self.core.table(), &error, what);
+            0
+        });
+        let (mapping, address) = (listener.mapping, listener.address.ip());
+        let mut refused = 0;
+        for index in 0..received {
+            let Some(incoming) = self.batch.incoming(index) else { continue };
+            let arrival = Arrival {
+                listener: id,
+                mapping,
+                // Where the socket has to tell, and does not, that is no unicast address.
+                public_address: incoming.to.unwrap_or(address),
+                client: incoming.from,
+            };
+            let (slot, octets) = (incoming.slot, incoming.octets.len());
+            let verdict = self.core.request(now, &arrival, incoming.octets, &mut self.effects);
+            match verdict {
+                Ok(to) => {
+                    let direction = Direction::Request;
+                    let tag = Tag { mapping, direction, octets, asks: to.asks };
+                    self.batch.queue(slot, EventKey::Upstream(to.via).key(), None, to.server, tag);
+                }
+                Err(reason) => refused += usize::from(request::is_refused_by_filter(reason)),
+            }
+        }
+        if refused > 0
+            && let Some(listener) = self.effects.public.get(id)
+        {
+            self.floods.note(id, listener, self.core.table(), now, refused);
+        }
+        received
+    }
+
+    pub(super) fn relay_responses(&mut self, id: UpstreamId, now: Instant) -> usize {
+        let Some(socket) = self.effects.upstream.get(id) else { return 0 };
+        let most = self.quota.most(EventKey::Upstream(id));
+        let received =
+            self.batch.receive(socket, most, Destination::Bound).unwrap_or_else(|error| {
+                self.effects.warnings.note(&error, "cannot receive from the servers");
+                0
+            });
+        let mut strays = 0;
+        for index in 0..received {
+            let Some(incoming) = self.batch.incoming(index) else { continue };
+            let (slot, octets) = (incoming.slot, incoming.octets.len());
+            match self.core.response(now, id, incoming.from, incoming.octets) {
+                Ok(to) => {
+                    let (mapping, direction) = (to.mapping, Direction::Response);
+                    let tag = Tag { mapping, direction, octets, asks: None };
+                    let own = self.effects.public.get(to.via).and_then(Listener::own_address);
+                    let from = own.is_none().then_some(to.public_address);
+                    self.batch.queue(slot, EventKey::Public(to.via).key(), from, to.client, tag);
+                }
+                Err(reason) => strays += usize::from(reason == DropReason::UnknownFlow),
+            }
+        }
+        if strays > 0 {
+            self.strays.note(&self.effects.upstream, id, self.core.table(), now, strays);
+        }
+        received
+    }
+
+    pub(super) fn make_room(&mut self, now: Instant) {
+        if self.batch.is_full() {
+            self.flush(now);
+        }
+    }
+
+    pub(super) fn flush(&mut self, now: Instant) {
+        let WorkerEffects { public, upstream, warnings, .. } = &mut self.effects;
+        let (public, upstream) = (&*public, &*upstream);
+        self.batch.flush(
+            |key| match EventKey::from_key(key) {
+                EventKey::Public(id) => Some(public.get(id)?.socket.as_fd()),
+                EventKey::Upstream(id) => upstream.get(id),
+                EventKey::Wake | EventKey::Tick => None,
+            },
+            |tag, outcome| match outcome {
+                Ok(()) => match tag.direction {
+                    Direction::Request => {
+                        self.core.request_sent(now, tag.mapping, tag.asks, tag.octets);
+                    }
+                    Direction::Response => self.core.response_sent(tag.mapping, tag.octets),
+                },
+                Err(error) => {
+                    self.core.send_failed(tag.mapping, tag.direction);
+                    let what = match tag.direction {
+                        Direction::Request => "cannot send to a server",
+                        Direction::Response => "cannot send to a client",
+                    };
+                    let table = self.core.table();
+                    let net = table.mapping(tag.mapping).net;
+                    warnings.note_of(net, table, &error, what);
+                }
+            },
+        );
+    }
+}
