@@ -174,8 +174,8 @@ mod tests {
     use crate::logging::tests::logged;
 
     /// The lines that one report writes.
-    fn report(noise: &mut DropReport) -> Vec<Value> {
-        logged(|| noise.report(DropReport::WINDOW, false))
+    fn report(drops: &mut DropReport) -> Vec<Value> {
+        logged(|| drops.report(DropReport::WINDOW, false))
     }
 
     fn drop_some(router: &Router, reason: DropReason, sources: impl Iterator<Item = u64>) {
@@ -192,13 +192,13 @@ mod tests {
     fn a_window_says_how_many_of_what_from_how_many() {
         let router = Router::idle(config(), 2);
         drop_some(&router, DropReason::BadHeader, 0..100);
-        let mut noise = DropReport::new(router.clone());
-        assert_eq!(report(&mut noise), Vec::<Value>::new(), "what was before is not reported");
+        let mut drops = DropReport::new(router.clone());
+        assert_eq!(report(&mut drops), Vec::<Value>::new(), "what was before is not reported");
 
         drop_some(&router, DropReason::PasswordWrong, (0..37).map(|n| n % 5));
         drop_some(&router, DropReason::TooShort, std::iter::once(1000));
         assert_eq!(
-            report(&mut noise),
+            report(&mut drops),
             [
                 json!({
                     "level": "WARN", "net": "section-1", "reason": "too_short", "count": 1,
@@ -213,28 +213,28 @@ mod tests {
                 }),
             ]
         );
-        assert_eq!(report(&mut noise), Vec::<Value>::new(), "a quiet window says nothing");
+        assert_eq!(report(&mut drops), Vec::<Value>::new(), "a quiet window says nothing");
     }
 
     #[test]
     fn what_goes_on_is_told_of_every_ten_minutes() {
         let router = Router::idle(config(), 1);
-        let mut noise = DropReport::new(router.clone());
+        let mut drops = DropReport::new(router.clone());
         let mut lines = Vec::new();
         for _ in 0..14 * 6 {
             drop_some(&router, DropReason::PasswordWrong, std::iter::once(7));
-            lines.extend(report(&mut noise));
+            lines.extend(report(&mut drops));
         }
-        lines.extend(logged(|| noise.report(Duration::ZERO, true)));
+        lines.extend(logged(|| drops.report(Duration::ZERO, true)));
         let counts: Vec<_> = lines.iter().map(|line| line["count"].as_u64().unwrap()).collect();
         assert_eq!(counts, [1, 60, 23], "{lines:?}");
         assert_eq!(lines[1]["message"], "60 wrong passwords from 198.51.100.7 in 600 s");
 
         for _ in 0..60 {
-            assert_eq!(report(&mut noise), Vec::<Value>::new(), "a pause");
+            assert_eq!(report(&mut drops), Vec::<Value>::new(), "a pause");
         }
         drop_some(&router, DropReason::PasswordWrong, std::iter::once(7));
-        assert_eq!(report(&mut noise)[0]["count"], 1, "it is new again");
+        assert_eq!(report(&mut drops)[0]["count"], 1, "it is new again");
     }
 
     /// Nets and nodes may have come, gone, and changed places meanwhile.
@@ -242,7 +242,7 @@ mod tests {
     fn a_window_goes_on_over_a_reload() {
         let router = Router::idle(config(), 1);
         drop_some(&router, DropReason::BadHeader, 0..100);
-        let mut noise = DropReport::new(router.clone());
+        let mut drops = DropReport::new(router.clone());
         drop_some(&router, DropReason::BadHeader, 0..5);
         let turned = Router::idle(turned(), 1);
         let carried = (NODE_1.0, 50 + 3);
@@ -251,8 +251,8 @@ mod tests {
             let node = of_turned.counters[0].node(MappingId(mapping));
             node.direction(Direction::Request).dropped(DropReason::BadHeader).add(count);
         }
-        noise.router = turned;
-        let lines = report(&mut noise);
+        drops.router = turned;
+        let lines = report(&mut drops);
         assert_eq!(lines.len(), 1);
         assert_eq!(lines[0]["count"], 3 + 7, "{}", lines[0]);
     }
@@ -270,9 +270,9 @@ mod tests {
     #[test]
     fn a_flood_says_that_there_may_be_more() {
         let router = Router::idle(config(), 2);
-        let mut noise = DropReport::new(router.clone());
+        let mut drops = DropReport::new(router.clone());
         drop_some(&router, DropReason::BadHeader, 0..20_000);
-        let lines = report(&mut noise);
+        let lines = report(&mut drops);
         assert_eq!(lines.len(), 1);
         let expected =
             "20000 wrong headers from 7098 sources or more in 10 s, the last one 198.51.100.31";

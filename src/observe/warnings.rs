@@ -62,15 +62,15 @@ mod tests {
 
     #[test]
     fn each_fact_has_its_own_turn() {
-        let mut complaints = RateLimitedWarnings::default();
+        let mut warnings = RateLimitedWarnings::default();
         let now = Instant::now();
         let fact = |error, net| ("send", Some(error), Some(NetId(net)));
-        assert!(complaints.is_due(now, fact(libc::ENETUNREACH, 0)));
-        assert!(!complaints.is_due(now, fact(libc::ENETUNREACH, 0)));
-        assert!(complaints.is_due(now, fact(libc::EPERM, 0)), "another error");
-        assert!(complaints.is_due(now, fact(libc::ENETUNREACH, 1)), "another net");
-        assert!(!complaints.is_due(now, fact(libc::ENETUNREACH, 1)));
-        assert!(complaints.due(now, "flood"));
-        assert!(complaints.is_due(now + INTERVAL, fact(libc::ENETUNREACH, 0)));
+        assert!(warnings.is_due(now, fact(libc::ENETUNREACH, 0)));
+        assert!(!warnings.is_due(now, fact(libc::ENETUNREACH, 0)));
+        assert!(warnings.is_due(now, fact(libc::EPERM, 0)), "another error");
+        assert!(warnings.is_due(now, fact(libc::ENETUNREACH, 1)), "another net");
+        assert!(!warnings.is_due(now, fact(libc::ENETUNREACH, 1)));
+        assert!(warnings.due(now, "flood"));
+        assert!(warnings.is_due(now + INTERVAL, fact(libc::ENETUNREACH, 0)));
     }
 }
