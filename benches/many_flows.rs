@@ -46,8 +46,8 @@ fn measure(flows: u32) {
     {
         let mut calls = Calls::default();
         let next = rig.succession(&Site { password, ..site.clone() });
-        calls.time(|| rig.core.reload(rig.now, next, &mut rig.shell));
-        while calls.time(|| rig.core.go_over(rig.now, &mut rig.shell)).is_none() {}
+        calls.time(|| rig.core.reload(rig.now, next, &mut rig.effects));
+        while calls.time(|| rig.core.go_over(rig.now, &mut rig.effects)).is_none() {}
         told(what, calls);
     }
 
@@ -65,7 +65,7 @@ fn measure(flows: u32) {
 }
 
 fn expire(rig: &mut Rig, calls: &mut Calls) {
-    while calls.time(|| rig.core.expire(rig.now, &mut rig.shell)) {}
+    while calls.time(|| rig.core.expire(rig.now, &mut rig.effects)) {}
 }
 
 /// Processor time of calls.

@@ -1,8 +1,8 @@
-//! The core allocates nothing for a datagram: not for one of an open flow, and not for one that is
-//! dropped, whoever sent it. What it keeps for an open flow is stated.
+//! The core allocates nothing for a datagram, neither for one of an open flow nor for one that is
+//! dropped. The memory of an open flow is measured.
 //!
-//! The allocator counts for each thread apart, so the tests may run side by side.
-// An allocator cannot be written without unsafe code; this one hands every call on.
+//! The allocator counts for each thread by itself, so that the tests may run at the same time.
+// An allocator cannot be written without unsafe code. This one hands every call on to the system's.
 #![allow(unsafe_code)]
 
 #[allow(dead_code)] // the benchmark of the core uses the rest
@@ -21,7 +21,7 @@ use rig::{
     largest_request, request, response, server,
 };
 
-/// A datagram is sent so often, from the first time on.
+/// How often each datagram is sent.
 const TIMES: usize = 1_000;
 
 const ROUTE: [u8; 8] = [0x02, 0x01, 0x05, 0x02, 0x33, 0xfd, 0x81, 0xb1];
@@ -33,12 +33,12 @@ struct Counting;
 
 thread_local! {
     static CALLS: Cell<usize> = const { Cell::new(0) };
-    /// Octets held; below zero where the thread has freed what another one allocated.
+    /// Octets held; negative if the thread has freed what another one allocated.
     static HELD: Cell<isize> = const { Cell::new(0) };
 }
 
 fn count(calls: usize, more: usize, less: usize) {
-    // At the end of a thread there may be nothing left to count in.
+    // When a thread ends, its counters may be gone already.
     let _ = CALLS.try_with(|cell| cell.set(cell.get() + calls));
     let _ = HELD.try_with(|cell| cell.set(cell.get() + more as isize - less as isize));
 }
@@ -132,13 +132,13 @@ fn exchanging_the_password_costs_no_allocation() {
 fn a_dropped_request_costs_no_allocation() {
     let outside: SocketAddr = "192.0.2.1:7".parse().unwrap();
     let member = client_endpoint(0);
-    // At an address from which no password was right yet.
+    // From its address, no right password has come yet.
     let guesser: SocketAddr = "10.9.9.9:7".parse().unwrap();
     let secure = |route: &[u8]| datagram(route, &[7; 16], PASSWORD);
     let wrong = datagram(&ROUTE, &[7; 16], b"guessed!");
     let mut broadcast = ROUTE;
     broadcast[1] = 126;
-    // In the order of the checks. Each is sent from a stranger first, where that makes a difference.
+    // The sender is a stranger wherever the check comes before that of the source.
     let cases: [(DropReason, SocketAddr, Vec<u8>); 16] = [
         (DropReason::TooShort, outside, vec![2, 0, 0, 0, 1]),
         (DropReason::TooLong, outside, vec![2; 108]),
@@ -201,7 +201,7 @@ fn a_dropped_request_costs_no_allocation() {
     assert!(left_out.eq([&DropReason::SendFailed]), "the core does not send");
 }
 
-/// Whoever guesses, and however many they are: the memory for them is there from the start.
+/// Memory for senders of wrong passwords is there from the start, however many they are.
 #[test]
 fn a_million_guessers_cost_no_allocation() {
     let mut rig = Rig::new(&Site::default());
@@ -211,7 +211,7 @@ fn a_million_guessers_cost_no_allocation() {
         for number in 0..1_000_000 {
             rig.now += Duration::from_micros(100);
             for arrival in [arrival(client_endpoint(number), 1), throttled] {
-                let verdict = rig.core.request(rig.now, &arrival, &mut { wrong }, &mut rig.shell);
+                let verdict = rig.core.request(rig.now, &arrival, &mut { wrong }, &mut rig.effects);
                 assert!(verdict.is_err());
             }
             if number % 10_000 == 0 {
@@ -222,7 +222,7 @@ fn a_million_guessers_cost_no_allocation() {
     assert!(!rig.core.is_idle(), "the throttled one is remembered");
 }
 
-/// Requests within their limits, of which account is kept.
+/// Requests of a net with limits, which are not reached.
 #[test]
 fn limited_requests_cost_no_allocation() {
     let max_requests = Some(RequestRate::new(RequestRate::MOST));
@@ -266,7 +266,7 @@ fn a_dropped_response_costs_no_allocation() {
     assert!(left_out.eq([&DropReason::SendFailed]), "the core does not send");
 }
 
-/// Whatever it is, from whomever: a stranger, a client without a flow, a client with one, a node.
+/// Garbage from a stranger, a client without a flow, a client with a flow, and nodes.
 #[test]
 fn garbage_costs_no_allocation() {
     let mut rig = Rig::new(&Site::default());
@@ -279,7 +279,7 @@ fn garbage_costs_no_allocation() {
         without_allocating(|| {
             for client in clients {
                 let verdict =
-                    rig.core.request(rig.now, &arrival(client, 1), &mut octets, &mut rig.shell);
+                    rig.core.request(rig.now, &arrival(client, 1), &mut octets, &mut rig.effects);
                 assert!(verdict.is_err());
             }
             for from in [server(1), server(2)] {
@@ -294,10 +294,10 @@ fn garbage_costs_no_allocation() {
 fn a_flow_that_comes_back_costs_no_allocation() {
     let mut rig = Rig::new(&Site::default());
     rig.open(0, 16);
-    rig.core.shut_down(rig.now, &mut rig.shell);
+    rig.core.shut_down(rig.now, &mut rig.effects);
     let (arrival, mut octets) = (arrival(client_endpoint(0), 1), request(1));
     without_allocating(|| {
-        rig.core.request(rig.now, &arrival, &mut octets, &mut rig.shell).unwrap();
+        rig.core.request(rig.now, &arrival, &mut octets, &mut rig.effects).unwrap();
     });
 }
 
@@ -317,14 +317,14 @@ fn memory_of_100_000_flows() {
     assert!(held < 600 * FLOWS as usize, "{held} octets");
 
     // Closed, and rested.
-    rig.core.shut_down(rig.now, &mut rig.shell);
+    rig.core.shut_down(rig.now, &mut rig.effects);
     rig.now += REST;
     rig.expire();
     assert!(rig.core.is_idle());
 }
 
 fn exchange(rig: &mut Rig, flow: &Flow, asked: &mut [u8], answer: &mut [u8]) {
-    let to = rig.core.request(rig.now, &flow.arrival(), asked, &mut rig.shell).unwrap();
+    let to = rig.core.request(rig.now, &flow.arrival(), asked, &mut rig.effects).unwrap();
     assert_eq!(to, flow.to);
     let back = rig.core.response(rig.now, to.via, to.server, answer).unwrap();
     assert_eq!(back.client, flow.client);
@@ -335,7 +335,7 @@ fn expect_drop(rig: &mut Rig, arrival: &Arrival, octets: &[u8], reason: DropReas
     let mut copy = [0; 120];
     let copy = &mut copy[..octets.len()];
     copy.copy_from_slice(octets);
-    let verdict = rig.core.request(rig.now, arrival, copy, &mut rig.shell);
+    let verdict = rig.core.request(rig.now, arrival, copy, &mut rig.effects);
     assert_eq!(verdict, Err(reason));
     assert_eq!(copy, octets);
 }

@@ -1,8 +1,8 @@
-//! One net of simulated nodes around a core, with clients that talk to it: what the benchmark of
-//! the core and the test of its allocations both stand on.
+//! A core with one net of simulated nodes, and clients that talk to them, for the benchmarks of the
+//! core and the test of its allocations.
 //!
-//! There is no socket and no clock here. The octets are written by hand, so that the codec is not
-//! its own witness.
+//! There is no socket and no clock here. The octets are written by hand, so that the codec does not
+//! test itself.
 
 use std::collections::BTreeSet;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
@@ -19,32 +19,32 @@ use pnet_nat::pnet::wire::{Header, Password};
 
 /// What clients send.
 pub(crate) const PASSWORD: &[u8; 8] = b"PNETPASS";
-/// What nodes expect where the passwords differ.
+/// What nodes expect if they have another password.
 pub(crate) const DEVICE_PASSWORD: &[u8; 8] = b"plant-pw";
 
-/// A flow without a datagram ends after this long.
+/// A flow ends after this time without a datagram.
 pub(crate) const IDLE_TIMEOUT: Duration = Duration::from_secs(300);
-/// A socket that nothing needs is closed after this long (N-9).
+/// A socket is closed this long after its last flow has ended (N-9).
 pub(crate) const REST: Duration = Duration::from_secs(120);
 
 const PUBLIC: Ipv4Addr = Ipv4Addr::new(203, 0, 113, 5);
 const START_PORT: u16 = 40_000;
 const SERVER_PORT: u16 = 34_379;
-/// Ports that an address of the clients uses.
+/// Clients at one address, each with its own port.
 const PORTS_OF_AN_ADDRESS: u32 = 250;
 
-/// What differs between the nets of the cases.
+/// What differs between the cases.
 #[derive(Clone)]
 pub(crate) struct Site {
-    /// Nodes, from 1 up.
+    /// The number of nodes. Their addresses begin with 1.
     pub(crate) nodes: u8,
     /// Flows that may be open at once.
     pub(crate) max_flows: u32,
-    /// Requests that the net, and each flow, may have.
+    /// Requests that the net, and each flow, may send.
     pub(crate) max_requests: Option<RequestRate>,
     /// Upstream sockets that may be open at once.
     pub(crate) sockets: usize,
-    /// The nodes expect another password than the clients send.
+    /// Whether the nodes expect another password than the clients send.
     pub(crate) device_password: bool,
     /// What clients send.
     pub(crate) password: &'static [u8; 8],
@@ -100,10 +100,10 @@ impl Site {
     }
 }
 
-/// A core and the time it is told.
+/// A core, and the time.
 pub(crate) struct Rig {
     pub(crate) core: Core,
-    pub(crate) shell: NoSockets,
+    pub(crate) effects: NoSockets,
     pub(crate) now: Instant,
     rules: Rules,
     counters: Arc<Counters>,
@@ -139,7 +139,7 @@ impl Rig {
         let counters = Arc::new(Counters::new(&rules.table));
         let now = Instant::now();
         let core = Core::new(rules.clone(), Arc::clone(&counters), now, Chance::from_seed(1));
-        Self { core, shell: NoSockets { open: 0, limit: site.sockets }, now, rules, counters }
+        Self { core, effects: NoSockets { open: 0, limit: site.sockets }, now, rules, counters }
     }
 
     /// What the core goes over to when the net becomes this one.
@@ -153,9 +153,9 @@ impl Rig {
         Succession { rules, counters, transition }
     }
 
-    /// Closes whatever is to be closed by now.
+    /// Closes all that has to be closed by now.
     pub(crate) fn expire(&mut self) {
-        while self.core.expire(self.now, &mut self.shell) {}
+        while self.core.expire(self.now, &mut self.effects) {}
     }
 
     /// Opens flow `number` with its first request.
@@ -164,7 +164,7 @@ impl Rig {
         let (client, node_address) = (client_endpoint(client), node_address as u8 + 1);
         let arrival = arrival(client, node_address);
         let mut octets = request(node_address);
-        let to = self.core.request(self.now, &arrival, &mut octets, &mut self.shell).unwrap();
+        let to = self.core.request(self.now, &arrival, &mut octets, &mut self.effects).unwrap();
         assert_eq!(to.server, server(node_address));
         Flow { client, node_address, to }
     }
@@ -175,7 +175,7 @@ impl Rig {
     }
 }
 
-/// A client endpoint and the node that it talks to.
+/// A client's address and port, and the node that it talks to.
 #[derive(Clone, Copy)]
 pub(crate) struct Flow {
     pub(crate) client: SocketAddr,
@@ -202,7 +202,7 @@ pub(crate) fn arrival(client: SocketAddr, node_address: u8) -> Arrival {
     }
 }
 
-/// The endpoint of a client, by its number, from 10.0.0.0/8.
+/// The address and port of the client with this number, in 10.0.0.0/8.
 pub(crate) fn client_endpoint(number: u32) -> SocketAddr {
     let address = Ipv4Addr::from_bits(0x0a00_0001 + number / PORTS_OF_AN_ADDRESS);
     (address, 20_000 + (number % PORTS_OF_AN_ADDRESS) as u16).into()
@@ -219,7 +219,7 @@ pub(crate) fn request(node_address: u8) -> [u8; 38] {
     datagram(&route, &[7; 16], PASSWORD).try_into().unwrap()
 }
 
-/// The answer to [`request`], with the password that it came with.
+/// The answer to [`request`], with this password.
 pub(crate) fn response(node_address: u8, password: &[u8; 8]) -> [u8; 38] {
     let route = [0x31, 0x01, 0x05, 0x7d, 0xb3, 0x82, 0x80 | node_address, 0x82];
     datagram(&route, &[9; 16], password).try_into().unwrap()
@@ -238,7 +238,7 @@ pub(crate) fn datagram(route: &[u8], data_octets: &[u8], password: &[u8]) -> Vec
     [&[2, 0, 0, 0], route, &control, data_octets, password].concat()
 }
 
-/// Random octets of a random length up to 120 behind this.
+/// These octets, and up to 120 random ones after them.
 pub(crate) fn garbage(random: &mut Rng, start: &[u8]) -> Vec<u8> {
     let more = random.usize(16..120);
     let noise = std::iter::repeat_with(|| random.u8(..)).take(more);

@@ -1,5 +1,5 @@
-//! Octets off the wire, through every view of the codec. What is accepted is given back octet for
-//! octet, and accounts for all of them.
+//! Any octets, through every view of the codec. Accepted octets are emitted again unchanged, and
+//! each of them belongs to a field.
 
 use pnet_nat::pnet::wire::{
     Datagram, DatagramError, DatagramRepr, DlRoute, Header, Indication, MAX_DATA, MAX_DATAGRAM,
@@ -76,7 +76,7 @@ fn route(route: Route<'_>, octets: &[u8]) {
     }
     assert_eq!(dl_route.destination[..], destinations[1..], "R-26");
     assert_eq!(dl_route.source[..], sources[..], "R-26");
-    // A length that generation leaves out is believed too, so the format may become another.
+    // A length that generation leaves out is accepted too, so the format may become another.
     let whole = DlRoute::new(&destinations, &sources).unwrap();
     if let Ok(generated) = whole.to_route()
         && generated.as_route().format() == route.format()
@@ -87,7 +87,7 @@ fn route(route: Route<'_>, octets: &[u8]) {
 
 fn dl_route(destination: &[u8], source: &[u8]) {
     let Ok(dl_route) = DlRoute::new(destination, source) else { return };
-    // It may have no room left for the sender, or no format.
+    // There may be no room left for the sender, or no format for the route.
     let _ = dl_route.clone().sent_by(Some(11), 3).map(|forming| forming.to_route());
     if let Ok(generated) = dl_route.to_route() {
         let generated = generated.as_route();

@@ -1,4 +1,5 @@
-//! A configuration's text: read whole, or refused with remedies that hold no octet of a password.
+//! Any text as a configuration: it is read, or refused with faults and remedies that show no octet
+//! of a password.
 
 use std::collections::HashSet;
 use std::fs::{self, Permissions};
@@ -53,11 +54,11 @@ fn is_told_well(fault: &config::Fault, text: &str, path: &Path) {
     assert_eq!(fault.file, path);
     let lines = 1 + text.matches('\n').count();
     assert!((1..=lines).contains(&fault.line.expect("a line")), "{told}");
-    // Unless it stands in the configuration, where it does not belong.
+    // Unless the configuration itself contains it, where it does not belong.
     assert!(!told.contains("s3cr3t") || text.contains("s3cr3t"), "{told}");
 }
 
-/// What the core takes for granted.
+/// What the core relies on.
 fn is_sound(config: &Config) {
     let table = &config.table;
     assert!(!config.listen.is_empty() && !table.mappings().is_empty());

@@ -1,8 +1,8 @@
-//! A core under any sequence of datagrams, time, want of sockets and new configurations.
+//! A core under any sequence of datagrams, pauses, limits of sockets and new configurations.
 //!
-//! The input is read as a list of steps. What must hold is said of what comes out, through the
-//! core's public face alone: nothing passes without a password, nothing is remembered of what is
-//! dropped, an answer reaches the one client that it belongs to, and every datagram is counted.
+//! The input is read as a list of steps. After each step, the core's public functions show whether
+//! the rules hold: nothing passes without a password, no flow is left of a dropped datagram, an
+//! answer reaches the one client that it belongs to, and every datagram is counted.
 
 mod input;
 mod tables;
@@ -23,7 +23,7 @@ use input::Input;
 
 /// N-9.
 const REST: Duration = Duration::from_secs(120);
-/// Beyond that, any number of wrong passwords is forgiven.
+/// After this time, all wrong passwords are forgiven.
 const LONGEST_THROTTLING: Duration = Duration::from_secs(3600);
 const DIRECTIONS: [Direction; 2] = [Direction::Request, Direction::Response];
 
@@ -39,7 +39,7 @@ const CLIENTS: [&str; 8] = [
 ];
 const PUBLIC: [&str; 2] = ["192.0.2.1", "2001:db8:1::1"];
 
-/// Takes the octets as steps, and looks at everything after each.
+/// Does the steps that the octets stand for, and checks everything after each.
 pub fn holds(octets: &[u8]) {
     let mut input = Input::new(octets);
     let mut world = World::new(&mut input);
@@ -56,24 +56,25 @@ struct World {
     sockets: Sockets,
     now: Instant,
     rules: Rules,
-    /// Some flows may not have gone over to the rules.
+    /// Whether some flows may not have gone over to the rules yet.
     going_over: bool,
-    /// Places in use that a lower limit came too late for: of each net, and of all.
+    /// Flows that were open before the last reload, of each net and of all. A lower limit does not
+    /// close them.
     flows_before_reload: Vec<usize>,
-    /// What nodes got, and through which socket.
+    /// What nodes received, and through which socket.
     at_nodes: Vec<(UpstreamId, SocketAddr, Vec<u8>)>,
-    /// Who had a (port, server) last, and until when.
+    /// The last client of each (port, server), and until when it had the pair.
     users: HashMap<(u16, SocketAddr), (SocketAddr, Instant)>,
 }
 
-/// The world as the core sees it. A port is given again as soon as it is free.
+/// The sockets that the core asks for. A port is given again as soon as it is free.
 #[derive(Default)]
 struct Sockets {
     limit: usize,
     ports: HashMap<UpstreamId, u16>,
     opened_flows: usize,
     closed_flows: usize,
-    /// Since it was last looked at.
+    /// Port, server and client of each flow that was closed since the last step.
     just_closed: Vec<(u16, SocketAddr, SocketAddr)>,
     throttled: usize,
 }
@@ -215,7 +216,7 @@ impl World {
             let server = input.choice(&[&servers[..], &[stray]].concat());
             (UpstreamId(u32::from(input.octet() % 12)), server, input.datagram(1))
         } else {
-            // Of a response, the core looks at the format and the password: an echo will do.
+            // The core checks only the format and the password of a response, so an echo will do.
             let index = usize::from(input.octet()) % self.at_nodes.len();
             let (via, server, mut octets) = self.at_nodes[index].clone();
             if input.octet() % 8 == 7 {
@@ -294,7 +295,7 @@ impl World {
         assert_eq!(self.flows(), lively, "N-2, N-3: closed too early or too late");
     }
 
-    /// Flows that live on keep client, port, server and passwords; nothing new opens.
+    /// Flows that stay open keep client, port, server and passwords. No new one opens.
     fn reload(&mut self, input: &mut Input<'_>) {
         let rules = tables::followed_by(&self.rules, input);
         let (old, new) = (Arc::clone(&self.rules.table), Arc::clone(&rules.table));
@@ -317,7 +318,7 @@ impl World {
         self.flows_before_reload = self.open_flows();
     }
 
-    /// The flows that have not gone over to the last new configuration do.
+    /// Lets all flows go over to the last new configuration.
     fn go_over(&mut self) {
         let before = self.flows();
         while self.going_over {
@@ -345,7 +346,7 @@ impl World {
         let (table, open) = (&self.rules.table, self.open_flows());
         let (all, told) =
             (open[table.nets().len()], self.sockets.opened_flows - self.sockets.closed_flows);
-        // What is withdrawn is shown no more, and is closed in its turn.
+        // A flow that is withdrawn is not shown any more, but is closed only in its turn.
         assert!(all == told || (all < told && self.going_over), "{all} flows instead of {told}");
         for (net, &open) in table.net_ids().zip(&open) {
             let counted = self.counters.net(net).flows.get();
@@ -387,7 +388,7 @@ fn listener(mapping: &Mapping) -> ListenerId {
     ListenerId(mapping.public_port.into())
 }
 
-/// The octets with this password in the place of theirs.
+/// The octets with this password instead of their own.
 fn with_password(octets: &[u8], password: Option<&Password>) -> Vec<u8> {
     match password {
         Some(password) => [&octets[..octets.len() - Password::LEN], password.octets()].concat(),
@@ -395,7 +396,7 @@ fn with_password(octets: &[u8], password: Option<&Password>) -> Vec<u8> {
     }
 }
 
-/// What a new configuration leaves as it is.
+/// What of a flow stays the same in a reload.
 fn lasting(
     table: &Table,
     flow: &FlowRecord,

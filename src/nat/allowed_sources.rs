@@ -1,8 +1,10 @@
-//! Which addresses a net listens to: the networks of its `allow`, less the plant's own addresses.
+//! The addresses from which a net's clients may send: the networks of its `allow`, without the
+//! plant's own addresses.
 //!
-//! A trie, so that strangers cost hardly more where the list is long. Who forges the address of a
-//! node could have another node's answer carried there: a source inside a plant is a client's only
-//! where an entry of `allow` lies in that plant's subnet, and so names it (N-4).
+//! The look-up is a trie, so a stranger's datagram costs hardly more where the list is long. An
+//! attacker who forges the address of one node could direct the answer of another node to it. So an
+//! address inside the plant is allowed only by an entry of `allow` that lies in the plant's subnet
+//! itself (N-4).
 
 use std::collections::{HashMap, HashSet};
 use std::net::IpAddr;
@@ -16,12 +18,12 @@ use super::table::{Mapping, Net, NetKind};
 /// the mask of a plant section is 255.255.255.0.
 const SECTION: u8 = 24;
 
-/// The look-up for one net: whether the longest network around an address is one of `allow`.
+/// The look-up for one net: the longest network that contains an address decides.
 #[derive(Debug)]
 pub(super) struct Sources(JointPrefixMap<IpNet, bool>);
 
 impl Sources {
-    /// The look-ups of all nets. Nets with the same list share one.
+    /// The look-ups of all nets, in their order. Nets with the same list share one.
     pub(super) fn of(nets: &[Net], mappings: &[Mapping]) -> Vec<Arc<Self>> {
         let plants = plants(nets, mappings);
         let mut made: HashMap<&[IpNet], Arc<Self>> = HashMap::new();
@@ -33,13 +35,13 @@ impl Sources {
 
     fn new(allow: &[IpNet], plants: &[IpNet]) -> Self {
         let plants = plants.iter().map(|&plant| (plant, false));
-        // Last, for an entry that is a plant's subnet itself names it too.
+        // `allow` comes last: an entry that is just the plant's subnet allows it.
         let allow = allow.iter().map(|network| (network.trunc(), true));
         Self(plants.chain(allow).collect())
     }
 
-    /// Whether a client may come from there. An IPv4 address that arrives mapped into IPv6 is judged
-    /// as IPv4.
+    /// Whether a client may send from this address. An IPv4 address mapped into IPv6 is judged as
+    /// IPv4.
     #[inline]
     pub(super) fn contains(&self, source: IpAddr) -> bool {
         let source = IpNet::from(source.to_canonical());
@@ -47,7 +49,7 @@ impl Sources {
     }
 }
 
-/// Where servers are: the subnet of each section, the address of each single server outside them.
+/// The networks of the plant: the subnet of each section, and each single server outside of them.
 fn plants(nets: &[Net], mappings: &[Mapping]) -> Vec<IpNet> {
     let plant = |mapping: &Mapping| {
         let server = mapping.server.ip().to_canonical();
@@ -59,7 +61,7 @@ fn plants(nets: &[Net], mappings: &[Mapping]) -> Vec<IpNet> {
         }
     };
     let plants: Vec<_> = mappings.iter().map(plant).collect();
-    // A server inside a section is named with it.
+    // An entry of `allow` for a section also allows the single servers inside it.
     let is_section = |plant: &IpNet| plant.addr().is_ipv4() && plant.prefix_len() == SECTION;
     let sections: HashSet<IpNet> = plants.iter().copied().filter(is_section).collect();
     let in_a_section = |plant: &IpNet| {

@@ -1,11 +1,11 @@
-//! How many flows may still be opened, and how many requests a net may still get, over all workers.
+//! How many more flows may be opened, and how many more requests a net may send, over all workers.
 //!
-//! The one thing that workers share. It is touched when a flow opens or closes; for a datagram only
-//! where a net limits its requests. The kernel spreads clients over the workers by chance, so a
-//! share for each worker would refuse one client while another's share lies idle.
+//! The workers share this. They touch it when a flow opens or closes, and for each request only
+//! where a net limits its requests. A share for each worker would not do: the kernel spreads
+//! clients over the workers by chance, so one share would be used up while another has room.
 //!
-//! A new configuration brings other limits. What is taken goes on, so that the limits hold while one
-//! worker after the other goes over to it.
+//! A new configuration brings other limits, but what is taken stays taken. So the limits hold while
+//! one worker after the other goes over to the new configuration.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -16,8 +16,8 @@ use super::ids::NetId;
 use super::table::{Limits, Net, Table};
 use super::time::Nanos;
 
-/// Places for flows, one count for each net and one for the router (RFC 6888 REQ-11); and the
-/// requests of each net.
+/// Places for flows, in each net and in the router as a whole (RFC 6888 REQ-11), and the requests
+/// of each net.
 #[derive(Debug)]
 pub struct Budget {
     all: Places,
@@ -28,7 +28,7 @@ pub struct Budget {
 #[derive(Clone, Debug)]
 struct NetBudget {
     places: Places,
-    /// For (socket, server) pairs, in use or resting.
+    /// Places for (socket, server) pairs, in use or resting.
     pairs: Places,
     requests: Requests,
 }
@@ -39,7 +39,7 @@ struct Requests {
     rate: Option<Gcra>,
 }
 
-/// Places for one (socket, server) pair, in its net and in the router; given back when dropped.
+/// The places of one (socket, server) pair, in its net and in the router. Dropping gives them back.
 #[derive(Debug)]
 pub(super) struct PairPlace([Arc<AtomicU32>; 2]);
 
@@ -57,7 +57,8 @@ impl Budget {
         Self { all: Places::new(limits.max_flows), all_pairs, nets }
     }
 
-    /// Other limits for what is taken of this budget, whose table is `old`. Nets are known by name.
+    /// The budget for the table `new` with these limits. What is taken of this one, whose table is
+    /// `old`, stays taken. A net is the same if it has the same name.
     pub(super) fn with_limits(&self, old: &Table, new: &Table, limits: &Limits) -> Self {
         let known: HashMap<_, _> = old.nets().iter().map(|net| &net.name).zip(&self.nets).collect();
         let next = |net: &Net| match known.get(&net.name) {
@@ -69,7 +70,7 @@ impl Budget {
         Self { all: Places { limit: limits.max_flows, ..self.all.clone() }, all_pairs, nets }
     }
 
-    /// Takes a request of this net, if it has one left.
+    /// Takes one of this net's requests, if there is one left. True if so, and without a limit.
     #[inline]
     pub(super) fn take_request(&self, net: NetId, now: Nanos) -> bool {
         let Requests { rate: Some(rate), paid_until } = &self.net(net).requests else {
@@ -78,11 +79,11 @@ impl Budget {
         paid_until.fetch_update(Relaxed, Relaxed, |paid_until| rate.take(paid_until, now)).is_ok()
     }
 
-    /// Gives a request back that did not pass.
+    /// Gives back a request that did not pass.
     pub(super) fn give_request(&self, net: NetId) {
         let Requests { rate: Some(rate), paid_until } = &self.net(net).requests else { return };
         let put_back = |paid_until| Some(rate.put_back(paid_until));
-        // It always does something, so it cannot fail.
+        // `put_back` never returns None, so this cannot fail.
         let _ = paid_until.fetch_update(Relaxed, Relaxed, put_back);
     }
 
@@ -99,8 +100,9 @@ impl Budget {
         true
     }
 
-    /// Takes a place for a (socket, server) pair, which it has for as long as it rests too: as many
-    /// pairs may rest as may be in use. So the sockets are bounded, however fast clients come and go.
+    /// Takes the places of a (socket, server) pair, which it keeps while it rests. As many pairs
+    /// may rest as may be in use, so the number of sockets has a bound however fast clients come
+    /// and go.
     pub(super) fn take_pair(&self, net: NetId) -> Option<PairPlace> {
         let places = [&self.net(net).pairs, &self.all_pairs];
         if !places[0].take() {
@@ -113,19 +115,19 @@ impl Budget {
         Some(PairPlace(places.map(|places| Arc::clone(&places.taken))))
     }
 
-    /// Whether a net has a place for another pair.
+    /// Whether there is a place for another pair in this net.
     #[cfg(test)]
     pub(super) fn has_room_for_pair(&self, net: NetId) -> bool {
         self.take_pair(net).is_some()
     }
 
-    /// All pairs of all workers.
+    /// Pairs in use or resting, of all workers.
     #[cfg(test)]
     pub(super) fn pairs_taken(&self) -> usize {
         self.all_pairs.taken.load(Relaxed) as usize
     }
 
-    /// Gives a place back.
+    /// Gives back a place in this net.
     pub(super) fn give(&self, net: NetId) {
         self.net(net).places.give();
         self.all.give();
@@ -162,7 +164,7 @@ impl Drop for PairPlace {
     }
 }
 
-/// Pairs in use or resting, for so many flows.
+/// Places for pairs, in use or resting, where so many flows may be open.
 fn pairs(max_flows: u32) -> u32 {
     max_flows.saturating_mul(2)
 }
@@ -172,7 +174,8 @@ impl Places {
         Self { taken: Arc::default(), limit }
     }
 
-    /// A lower limit closes nothing; it is kept to when flows are opened.
+    /// More may be taken than a new, lower limit allows. Then this fails until enough are given
+    /// back.
     fn take(&self) -> bool {
         let one_more = |taken| (taken < self.limit).then_some(taken + 1);
         self.taken.fetch_update(Relaxed, Relaxed, one_more).is_ok()

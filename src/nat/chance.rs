@@ -1,7 +1,8 @@
-//! What is left to chance in a core: the hashes that nobody outside shall foresee, and which open
-//! socket a new client shares.
+//! The randomness of a core: hashes that no attacker can foresee, and the choice of the open socket
+//! that a new client shares.
 //!
-//! It comes in from outside whole, so that a core does the same again when it is given the same.
+//! The core has no other source of randomness. With the same `Chance` and the same input, it does
+//! the same.
 
 use foldhash::SharedSeed;
 use foldhash::fast::SeedableRandomState;
@@ -14,12 +15,13 @@ pub struct Chance {
 }
 
 impl Chance {
-    /// Randomness that the system gives.
+    /// Randomness from the system.
     pub fn of_the_system() -> Self {
         Self { hash: SeedableRandomState::random(), choice: fastrand::Rng::new() }
     }
 
-    /// The same for the same seed, in every process. Who can guess the seed can make hashes collide.
+    /// The same randomness for the same seed, in every process: for tests. Whoever knows the seed
+    /// can make hashes collide.
     pub fn from_seed(seed: u64) -> Self {
         Self {
             hash: SeedableRandomState::with_seed(seed, SharedSeed::global_fixed()),

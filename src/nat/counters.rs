@@ -1,8 +1,8 @@
-//! Counters of one worker. Only that worker writes them, so counting is a plain load and store:
-//! no lock, no look-up, no read-modify-write. Others read them at any time.
+//! Counters of one worker. Only this worker writes them, so counting is a plain load and store: no
+//! lock, no look-up, no read-modify-write. Others may read them at any time.
 //!
-//! The law of the counters: at rest, for every net, node and direction,
-//! received = forwarded + the sum of dropped.
+//! The law of the counters: for every node and direction, received = forwarded + the sum of
+//! dropped, when no datagram is under way.
 
 use std::collections::HashMap;
 use std::hash::Hash;
@@ -47,29 +47,29 @@ impl Counter {
 /// What is counted for one node and direction.
 #[derive(Debug, Default)]
 pub struct DirectionCounters {
-    /// Datagrams taken from the kernel.
+    /// Datagrams received from the kernel.
     pub received: Counter,
-    /// Datagrams handed back to the kernel.
+    /// Datagrams that the kernel took for sending.
     pub forwarded: Counter,
-    /// UDP payload octets of the forwarded ones.
+    /// UDP payload octets of the forwarded datagrams.
     pub forwarded_bytes: Counter,
     dropped: [Counter; DropReason::COUNT],
 }
 
 impl DirectionCounters {
-    /// The counter of one reason.
+    /// Datagrams dropped for this reason.
     pub fn dropped(&self, reason: DropReason) -> &Counter {
         &self.dropped[reason as usize]
     }
 
-    /// Counts a datagram that was handed back.
+    /// Counts a datagram that the kernel took.
     #[inline]
     pub(super) fn forwarded(&self, octets: usize) {
         self.forwarded.add(1);
         self.forwarded_bytes.add(octets as u64);
     }
 
-    /// All that was dropped, whatever the reason.
+    /// Datagrams dropped for any reason.
     pub fn dropped_total(&self) -> u64 {
         self.dropped.iter().map(Counter::get).sum()
     }
@@ -79,13 +79,13 @@ impl DirectionCounters {
 #[derive(Debug, Default)]
 pub struct NodeCounters {
     directions: [DirectionCounters; Direction::ALL.len()],
-    /// Response times.
+    /// How long the node's answers took.
     pub response_times: ResponseTimes,
-    /// When the last response was forwarded, as nanoseconds since the router's start; 0: never.
+    /// When the last response passed, in nanoseconds since the relay's start, plus one; 0: never.
     pub last_response: Counter,
-    /// When the last request that wants an answer was sent, likewise.
+    /// When the last request that wants an answer was sent, in the same unit.
     pub last_request: Counter,
-    /// When the first such request after the last response was sent; 0: none waits.
+    /// When the first such request after the last response was sent; 0: there was none.
     pub unanswered_since: Counter,
 }
 
@@ -122,12 +122,12 @@ pub struct NetCounters {
     flows_closed: [Counter; CloseReason::ALL.len()],
     sources: [SourceSketch; DropReason::COUNT],
     last_senders: [LastSender; DropReason::COUNT],
-    /// Who sent wrong passwords since the start: hashes as in [`sources`](Self::sources).
+    /// The sources of wrong passwords since the start, hashed as in [`sources`](Self::sources).
     pub wrong_password_sources: SourceSketch,
 }
 
 impl NetCounters {
-    /// Notes who sent a datagram that was dropped, and the address as a hash. Called by the one
+    /// Notes the sender of a dropped datagram, and the hash of its address. Called by the one
     /// writer only.
     pub fn note_source(&self, reason: DropReason, now: Nanos, sender: IpAddr, hash: u64) {
         self.sources(reason).note(hash);
@@ -137,18 +137,18 @@ impl NetCounters {
         }
     }
 
-    /// The counter of flows that ended for this reason.
+    /// Flows that ended for this reason.
     pub fn flows_closed(&self, reason: CloseReason) -> &Counter {
         &self.flows_closed[reason as usize]
     }
 
-    /// Who sent the datagrams that were dropped for this reason since the log last looked: the
-    /// hash of the sender's address without its port.
+    /// The sources of datagrams dropped for this reason since the log last reported them. A source
+    /// is the hash of an address without its port.
     pub fn sources(&self, reason: DropReason) -> &SourceSketch {
         &self.sources[reason as usize]
     }
 
-    /// Who sent the last datagram that was dropped for this reason.
+    /// The sender of the last datagram dropped for this reason.
     pub fn last_sender(&self, reason: DropReason) -> &LastSender {
         &self.last_senders[reason as usize]
     }
@@ -160,12 +160,12 @@ pub struct Counters {
     nodes: Box<[Arc<NodeCounters>]>,
     nets: Box<[Arc<NetCounters>]>,
     accepted: Box<[Box<[Arc<Counter>]>]>,
-    /// Datagrams on an upstream socket from an address that is no server of the table.
+    /// Datagrams that arrived at an upstream socket from an address that is no server of the table.
     pub stray: Arc<NodeCounters>,
 }
 
 impl Counters {
-    /// Counters at 0 for this table.
+    /// Counters for this table, all 0.
     pub fn new(table: &Table) -> Self {
         let accepted = |net: &Net| net.credentials.iter().map(|_| Arc::default()).collect();
         Self {
@@ -176,9 +176,9 @@ impl Counters {
         }
     }
 
-    /// Counters for the table `new` that go on from these, of the table `old`: nets by their name,
-    /// nodes by net and node address, credentials by net and name. They are the same ones, so that
-    /// nothing is lost of what is counted meanwhile.
+    /// The counters for the table `new` that continue these, which belong to the table `old`. A net
+    /// is the same if its name is, a node if its net and node address are, a credential if its net
+    /// and name are. Those have the very same counters, so that nothing counted meanwhile is lost.
     pub fn followed_by(&self, old: &Table, new: &Table) -> Self {
         let nets: HashMap<_, _> = old.nets().iter().map(|net| &net.name).zip(&self.nets).collect();
         let accepted: HashMap<_, _> = old
@@ -199,7 +199,7 @@ impl Counters {
         }
     }
 
-    /// The counters of the node behind a mapping.
+    /// The counters of a mapping's node.
     pub fn node(&self, mapping: MappingId) -> &NodeCounters {
         &self.nodes[mapping.0 as usize]
     }
@@ -209,23 +209,23 @@ impl Counters {
         &self.nets[usize::from(net.0)]
     }
 
-    /// Requests that a net accepted, by its credentials in their order.
+    /// Requests that a net accepted, for each of its credentials in their order.
     pub fn accepted(&self, net: NetId) -> &[Arc<Counter>] {
         &self.accepted[usize::from(net.0)]
     }
 }
 
-/// What a net's credentials are known by.
+/// What identifies a net's credentials.
 fn credential_names(net: &Net) -> impl Iterator<Item = (&str, &str)> {
     net.credentials.iter().map(|credential| (&*net.name, &*credential.name))
 }
 
-/// What a node is known by.
+/// What identifies a node.
 fn node_name<'a>(table: &'a Table, mapping: &Mapping) -> (&'a str, u8) {
     (&table.net(mapping.net).name, mapping.node_address)
 }
 
-/// The counters of that name, or new ones.
+/// The counters with this name, or new ones.
 fn known<K: Eq + Hash, T: Default>(counters: &HashMap<K, &Arc<T>>, name: &K) -> Arc<T> {
     counters.get(name).map_or_else(Arc::default, |counters| Arc::clone(counters))
 }

@@ -31,14 +31,16 @@ pub trait Effects {
         false
     }
 
-    /// Whether this address is one of the router's own. Asked before a flow is opened, and only about
-    /// clients whose port an [upstream socket has](Self::has_upstream_port). By default, it is not.
+    /// Whether this address is one of the router's own. Asked before a flow is opened, and only
+    /// about clients whose port an [upstream socket has](Self::has_upstream_port). By default, it
+    /// is not.
     fn is_own_address(&mut self, _address: SocketAddr) -> bool {
         false
     }
 
     /// Whether the system could send an answer to this client: not if the address is a subnet's
-    /// broadcast address, or no route leads there. Asked before a flow is opened. By default, it could.
+    /// broadcast address, or no route leads there. Asked before a flow is opened. By default, it
+    /// could.
     fn can_answer(&mut self, _arrival: &Arrival) -> bool {
         true
     }
@@ -50,8 +52,8 @@ pub trait Effects {
     fn flow_closed(&mut self, _table: &Table, _flow: &FlowRecord, _reason: CloseReason) {}
 
     /// A sender, or an address as a whole, sent too many wrong passwords, and a request of it to this
-    /// public port of the table was refused for the first time. Strangers cause this, and one with many addresses
-    /// causes it often.
+    /// public port of the table was refused for the first time. Strangers cause this, and one with
+    /// many addresses causes it often.
     fn throttling_begun(&mut self, _table: &Table, _throttled: &Throttled, _mapping: MappingId) {}
 
     /// Throttling is over: all wrong passwords are forgiven, or others took the place in the table.

@@ -1,4 +1,4 @@
-//! A flow: one client endpoint that talks to one server node.
+//! A flow: one client's address and port in exchange with one server node.
 
 use std::net::{IpAddr, SocketAddr};
 use std::time::Duration;
@@ -6,11 +6,11 @@ use std::time::Duration;
 use super::ids::{ListenerId, MappingId, UpstreamId};
 use super::time::Nanos;
 
-/// A request that waited unanswered for longer is taken as lost: its answer is not due any more, and
-/// the response time of the next one counts from the request after it.
+/// A request without an answer for longer than this counts as lost. Its answer is not due any more,
+/// and the next response time is measured from a later request.
 const LOST_AFTER: Nanos = 10_000_000_000;
 
-/// What a flow is found by when a request comes: the client's endpoint and the router's.
+/// What a request finds its flow by: the client's address and port, and the router's.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(super) struct Endpoints {
     pub client: SocketAddr,
@@ -22,68 +22,68 @@ pub(super) struct Endpoints {
 #[derive(Debug)]
 pub(super) struct Flow {
     pub endpoints: Endpoints,
-    /// As long as it lives, whatever its mapping is called.
+    /// It stays the same as long as the flow is open; the index of its mapping may change.
     pub server: SocketAddr,
-    /// Under the rules of its era, as the credential.
+    /// In the table of its era, as the credentials are.
     pub mapping: MappingId,
     pub upstream: UpstreamId,
     pub upstream_port: u16,
     /// The credential of the latest request: its answer carries the same password.
     pub credential: Option<u16>,
-    /// Those of earlier requests, the latest first. Hardly ever there is one.
+    /// Those of earlier requests, the latest first. Nearly always empty.
     pub earlier_credentials: Box<[u16]>,
-    /// When the client was last noted as one that is known; 0: never.
+    /// When the client was last noted as a known one; 0: never.
     pub noted: Nanos,
     pub opened: Nanos,
-    /// The last datagram of either direction (RFC 4787 REQ-6).
+    /// When the last datagram passed, in either direction (RFC 4787 REQ-6).
     pub last_used: Nanos,
     pub answers: Answers,
     /// The number of the reload whose rules it stands under.
     pub era: u32,
-    /// Until when its requests are paid for, where they are limited.
+    /// The bucket of its requests, if the net limits them for each flow.
     pub paid_until: Nanos,
-    /// When it was closed for its client, of whom it takes no requests any more: the port of its
-    /// socket was wanted. The last answers still come through it. 0: never.
+    /// When it was closed for requests because the port of its socket is wanted; 0: never. Answers
+    /// to earlier requests still pass.
     pub left: Nanos,
 }
 
 /// The answers that a flow waits for.
 ///
-/// An answer does not tell which request it belongs to, and one that was lost looks like one that is
-/// late. So an answer is taken for that to an old request as long as there is one, and the count of
-/// those that are due is never too low.
+/// An answer does not say which request it belongs to, and a lost answer looks like a late one. So
+/// an answer is counted for an old request as long as there is one. Then the number of answers that
+/// are due is never too low.
 #[derive(Debug, Default)]
 pub(super) struct Answers {
-    /// When the oldest request went out that has none yet; 0: there is none.
+    /// When the oldest request without an answer was sent; 0: there is none.
     unanswered: Nanos,
-    /// Due to requests of the `LOST_AFTER` that began then.
+    /// Answers due to requests of the last `LOST_AFTER`, which began at `newer_since`.
     newer: u32,
     newer_since: Nanos,
-    /// Due to requests of the `LOST_AFTER` before.
+    /// Answers due to requests of the `LOST_AFTER` before that.
     older: u32,
 }
 
-/// What logs and the API tell of a flow.
+/// What logs and the API show of a flow.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct FlowRecord {
     /// The client's address and port.
     pub client: SocketAddr,
-    /// The public address that the client sends to.
+    /// The address of the router that the client sends to.
     pub public_address: IpAddr,
-    /// The public port and the server behind it.
+    /// Its public port and the server behind it.
     pub mapping: MappingId,
-    /// Index of the credential of the latest request in its net's list; none without a password.
+    /// Index, in the net's list, of the latest request's credential; none without a password.
     pub credential: Option<usize>,
-    /// The router's own port towards the server.
+    /// The router's port towards the server.
     pub upstream_port: u16,
     /// How long it has been open.
     pub age: Duration,
-    /// How long nothing has passed.
+    /// How long ago the last datagram passed.
     pub idle: Duration,
 }
 
 impl Answers {
-    /// A request went out that wants an answer.
+    /// Notes a request that wants an answer.
     pub(super) fn asked(&mut self, now: Nanos) {
         let age = now - self.newer_since;
         if age >= 2 * LOST_AFTER {
@@ -98,7 +98,7 @@ impl Answers {
         }
     }
 
-    /// An answer came; returns how long the oldest request without one has waited.
+    /// Notes an answer. Returns how long the oldest request without one has waited for it.
     pub(super) fn came(&mut self, now: Nanos) -> Option<Duration> {
         match self.older {
             0 => self.newer = self.newer.saturating_sub(1),
@@ -110,14 +110,14 @@ impl Answers {
         }
     }
 
-    /// How many may still come, at least.
+    /// How many answers may still come, or more.
     fn due(&self) -> u64 {
         u64::from(self.older) + u64::from(self.newer)
     }
 }
 
 impl Flow {
-    /// Notes the credential of a request. Answers to earlier ones, under others, may still come.
+    /// Notes the credential of a request. Answers to earlier requests may still come with others.
     #[inline]
     pub(super) fn asked_with(&mut self, credential: Option<u16>) {
         if self.credential != credential {
@@ -139,7 +139,7 @@ impl Flow {
         }
     }
 
-    /// The credentials that an answer may carry, that of the latest request first.
+    /// The credentials that an answer may have, that of the latest request first.
     #[inline]
     pub(super) fn credentials(&self) -> impl Iterator<Item = u16> {
         self.credential.into_iter().chain(self.earlier_credentials.iter().copied())

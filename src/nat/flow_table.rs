@@ -1,7 +1,7 @@
-//! The open flows of one worker, found by either side.
+//! The open flows of one worker. Requests and responses both find their flow here.
 //!
-//! Both indices hold nothing but flow numbers and compare inside the flows, so that a datagram of
-//! one among a hundred thousand touches little memory beside its flow.
+//! Both indices hold only numbers of flows; keys are compared inside the flows. So a datagram of
+//! one flow among a hundred thousand touches little memory besides its flow.
 
 use std::array;
 use std::hash::BuildHasher;
@@ -17,7 +17,7 @@ use super::ids::{FlowId, UpstreamId};
 /// The parts of an index.
 const PARTS: usize = 64;
 
-/// Flows by number, by client, and by server.
+/// Flows by their number, by the client's side and by the server's side.
 #[derive(Debug)]
 pub(super) struct Flows {
     flows: Slab<Flow>,
@@ -26,13 +26,14 @@ pub(super) struct Flows {
     hash: SeedableRandomState,
 }
 
-/// Flows by the hash of something. A table that grows stands still, and one that is large from the
-/// start is slow, for few flows lie far apart in it. So it has parts, each of which grows by itself.
+/// Flows by a hash. To grow a large table takes so long that datagrams would wait, and a table that
+/// is large from the start is slow, because a few flows lie far apart in it. So the index has
+/// parts, and each grows by itself.
 #[derive(Debug)]
 struct Index([HashTable<FlowId>; PARTS]);
 
 impl Flows {
-    /// No flows, and room for so many: to make room later would hold up everybody.
+    /// No flows, and memory for this many: to move them later would hold up all datagrams.
     pub(super) fn new(hash: SeedableRandomState, capacity: usize) -> Self {
         Self {
             flows: Slab::with_capacity(capacity),
@@ -69,12 +70,12 @@ impl Flows {
         &mut self.flows[id.key()]
     }
 
-    /// The same, when it may be closed by now.
+    /// As `get`, for a flow that may be closed.
     pub(super) fn find(&self, id: FlowId) -> Option<&Flow> {
         self.flows.get(id.key())
     }
 
-    /// The same, when it may be closed by now.
+    /// As `get_mut`, for a flow that may be closed.
     #[inline]
     pub(super) fn find_mut(&mut self, id: FlowId) -> Option<&mut Flow> {
         self.flows.get_mut(id.key())
@@ -90,7 +91,7 @@ impl Flows {
         id
     }
 
-    /// From here on, no request belongs to it.
+    /// From now on, no request finds this flow.
     pub(super) fn leave(&mut self, id: FlowId) {
         let hash = self.hash.hash_one(self.get(id).endpoints);
         self.by_endpoints.remove(id, hash);
@@ -138,13 +139,13 @@ impl Index {
     }
 }
 
-/// By bits that a table does not use: it takes the lowest ones and the highest.
+/// Chosen by bits that the table does not use: it uses the lowest and the highest.
 #[inline]
 fn part(hash: u64) -> usize {
     (hash >> 32) as usize % PARTS
 }
 
-/// What a response's way in is known by.
+/// What a response finds its flow by.
 fn server_side(flow: &Flow) -> (UpstreamId, SocketAddr) {
     (flow.upstream, flow.server)
 }

@@ -1,7 +1,7 @@
 //! Limits of a rate by the generic cell rate algorithm (GCRA): a token bucket that is one number.
 //!
-//! A bucket is the time until which everything taken from it is paid for; in the past, it is full. Each
-//! token costs the time in which a new one comes.
+//! A bucket is the time until which everything taken from it is paid for; in the past, it is full.
+//! Each token costs the time in which a new one comes.
 
 use super::time::Nanos;
 
@@ -51,7 +51,8 @@ impl Gcra {
     }
 }
 
-/// A limit of requests a second, 1 to 1000000. After a second without any, as many may come at once.
+/// A limit of requests a second, 1 to 1000000. After a second without any, as many may come at
+/// once.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct RequestRate {
     per_second: u32,

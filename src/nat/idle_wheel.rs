@@ -1,30 +1,32 @@
-//! When to look at which flow, because it may have been idle for too long by then.
+//! A timing wheel: when to look at which flow, because it may have been idle for too long by then.
 //!
-//! Each flow is in the list of the half second in which it is to be looked at. A datagram does not
-//! touch them: who finds a flow that was used since files it again, for later. So a flow costs a look
-//! or two for each of its time-outs, and what is due is found without going through the rest.
+//! Each flow is in the list of the half second in which it has to be looked at. A datagram does not
+//! move its flow to another list. Only when a flow is looked at and was used meanwhile, it is filed
+//! again for later. So each flow costs one or two looks in its time-out, and the flows that are due
+//! are found without a search through the others.
 
 use super::ids::FlowId;
 use super::time::Nanos;
 
-/// Half seconds (of 2²⁹ ns) that the lists stand for, one after the other and round again. A flow
-/// that is to be looked at even later is looked at then, and filed again.
+/// The number of lists. Each stands for a half second (2²⁹ ns); after the last, the first comes
+/// again. A flow that has to be looked at even later is looked at in the last list, and filed
+/// again.
 const LISTS: u64 = 1024;
 
-/// The list of those that were looked at and are due later in the same half second.
+/// The list of flows that were looked at and are due later in the same half second.
 const WAITING: u32 = LISTS as u32;
 
-/// Flows, each in one of the lists or in none.
+/// Flows, each of them in one list or in none.
 #[derive(Debug)]
 pub(super) struct Wheel {
-    /// The head of each list, then each flow: rings, so that a flow is taken out without knowing
-    /// which list it is in.
+    /// First the head of each list, then each flow. The lists are rings, so that a flow can be
+    /// taken out without knowing its list.
     links: Vec<Link>,
-    /// The half second whose list is gone through next.
+    /// The half second whose list comes next.
     tick: u64,
 }
 
-/// Neighbours in a ring; who is alone in it is its own.
+/// Neighbours in a ring. A link that is alone is its own neighbour.
 #[derive(Clone, Copy, Debug)]
 struct Link {
     before: u32,
@@ -32,20 +34,20 @@ struct Link {
 }
 
 impl Wheel {
-    /// No flows, and room for so many.
+    /// No flows, and memory for this many.
     pub(super) fn new(capacity: usize) -> Self {
         let mut links = Vec::with_capacity(WAITING as usize + 1 + capacity);
         links.extend((0..=WAITING).map(Link::alone));
         Self { links, tick: 0 }
     }
 
-    /// Has a flow looked at when this time has come.
+    /// Files a flow to be looked at when this time has come.
     pub(super) fn file(&mut self, id: FlowId, at: Nanos) {
         let tick = tick(at).clamp(self.tick, self.tick + LISTS - 1);
         self.put(id, head(tick));
     }
 
-    /// The same for a flow that [`next`](Self::next) has just given.
+    /// As [`file`](Self::file), for a flow that [`next`](Self::next) has just returned.
     pub(super) fn put_back(&mut self, id: FlowId, at: Nanos) {
         if tick(at) <= self.tick { self.put(id, WAITING) } else { self.file(id, at) }
     }
@@ -59,11 +61,11 @@ impl Wheel {
         self.links[place as usize] = Link::alone(place);
     }
 
-    /// Takes out a flow that may be due; none when there is no other one to look at now. Until then
-    /// each is given once, or twice if a half second ends meanwhile.
+    /// Takes out a flow that may be due; none when there is no other flow to look at now. Until it
+    /// returns none, it returns each flow once, or twice if a half second ends meanwhile.
     pub(super) fn next(&mut self, now: Nanos) -> Option<FlowId> {
         let end = tick(now);
-        // One round goes through every list.
+        // One round visits every list.
         self.tick = self.tick.max(end.saturating_sub(LISTS));
         loop {
             let head = head(self.tick);
@@ -94,7 +96,7 @@ impl Wheel {
         self.links[head as usize].before = place;
     }
 
-    /// Makes one list another, which is empty. Tells whether there is anything in it.
+    /// Moves all flows of one list to another, which is empty. True if there were any.
     fn rename(&mut self, from: u32, to: u32) -> bool {
         let Link { before, after } = self.links[from as usize];
         if after == from {
@@ -122,7 +124,7 @@ fn head(tick: u64) -> u32 {
     (tick % LISTS) as u32
 }
 
-/// Where a flow is among the links.
+/// The index of a flow in the links.
 fn place(id: FlowId) -> u32 {
     id.0 + WAITING + 1
 }
@@ -139,7 +141,7 @@ mod tests {
     enum Step {
         File(u32, Nanos),
         Remove(u32),
-        /// Time passes, and what is due is taken out, so many at a time.
+        /// Time passes, and flows that are due are taken out, this many at a time.
         Look(Nanos, usize),
     }
 
@@ -155,7 +157,7 @@ mod tests {
 
     proptest! {
         #![proptest_config(ProptestConfig { failure_persistence: None, ..Default::default() })]
-        /// As a list of times would have it.
+        /// The wheel agrees with a list of times.
         #[test]
         fn a_flow_is_found_when_it_is_due_and_not_before(steps in steps()) {
             let (mut wheel, mut times, mut now) = (Wheel::new(4), BTreeMap::new(), 1);

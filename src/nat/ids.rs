@@ -1,5 +1,5 @@
-//! What the NAT calls nets, mappings, flows and sockets: indices. Those of flows and sockets are given
-//! out again when they are free.
+//! Indices of nets, mappings, flows and sockets. The index of a closed flow or socket is given to a
+//! later one.
 
 /// Index of a net in its [`Table`](super::Table).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -14,7 +14,7 @@ pub struct MappingId(pub u32);
 pub struct FlowId(pub(super) u32);
 
 impl FlowId {
-    /// The flow with this key. The budget counts flows in a `u32`, so every key fits.
+    /// The flow with this key in a slab. The budget counts flows in a `u32`, so every key fits.
     pub(super) fn new(key: usize) -> Self {
         Self(key as u32)
     }
@@ -24,7 +24,7 @@ impl FlowId {
     }
 }
 
-/// Index of a public socket; the core does not look behind it. It stays the same over a reload.
+/// Index of a public socket. It stays the same in a reload.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct ListenerId(pub u32);
 

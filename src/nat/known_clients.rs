@@ -1,8 +1,9 @@
-//! Clients that were right of late: whose password opened a flow of a net, or kept one open, within
-//! the last day. Wrong passwords under their address do not shut them out of that net.
+//! Known clients: those that sent a request with a right password to a net within the last day.
+//! Wrong passwords under the address of a known client do not shut it out of that net.
 //!
-//! A table of fixed size that all workers share and that goes on through reloads. Who has no password
-//! never gets into it, so strangers push nobody out; the one who was right longest ago goes first.
+//! The table has a fixed size. All workers share it, and it stays in a reload. A sender without a
+//! password never gets into it, so strangers push nobody out. A new client takes the place of the
+//! one whose password was right longest ago.
 
 use std::hash::BuildHasher;
 use std::net::IpAddr;
@@ -22,32 +23,33 @@ const WAYS: usize = 8;
 const MINUTE: Nanos = 60_000_000_000;
 /// A day.
 const MINUTES: u64 = 24 * 60;
-/// The lower bits of an entry are a minute, enough for years; the others tell who it is.
+/// The lower bits of an entry are a minute, enough for years. The upper bits are the client's hash.
 const MINUTE_BITS: u32 = 22;
 const MINUTE_MASK: u64 = (1 << MINUTE_BITS) - 1;
 
-/// Who meets whom in a set gains nothing: it takes the password to get in.
+/// It need not be secret: only clients with the password get into a set.
 const HASH: FixedState = FixedState::with_seed(0);
 
-/// The clients that are known, for one table.
+/// The known clients, for one table.
 #[derive(Clone, Debug)]
 pub(super) struct Known {
-    /// Who, and in which minute; 0 is a free place.
+    /// Client and minute of each entry; 0 is a free place.
     sets: Arc<[[AtomicU64; WAYS]]>,
-    /// What the clients of each net are known by. Another value, and they are forgotten.
+    /// For each net, a value that is part of its clients' hashes. With another value, the net knows
+    /// nobody.
     nets: Box<[u64]>,
     era: u64,
 }
 
 impl Known {
-    /// Nobody is known.
+    /// A table in which nobody is known.
     pub(super) fn new(table: &Table) -> Self {
         let sets = (0..SETS).map(|_| Default::default()).collect();
         Self { sets, nets: table.nets().iter().map(|net| fresh(net, 0)).collect(), era: 0 }
     }
 
-    /// The same for the next table. A net forgets its clients when a password of it is withdrawn or
-    /// changed.
+    /// The same clients, for the next table. A net forgets its clients when one of its passwords is
+    /// withdrawn or changed.
     pub(super) fn followed_by(&self, old: &Table, new: &Table) -> Self {
         let era = self.era + 1;
         let of_net = |is: &Net| {
@@ -61,10 +63,10 @@ impl Known {
         Self { sets: Arc::clone(&self.sets), nets: new.nets().iter().map(of_net).collect(), era }
     }
 
-    /// Notes that a client of this net was right.
+    /// Notes that a client sent a right password to this net.
     pub(super) fn note(&self, net: NetId, client: IpAddr, now: Nanos) {
         let (set, who) = self.place(net, client);
-        // Two workers may note somebody at once, and one of them in vain: until the next time.
+        // If two workers write the same entry at once, one client is lost until it is noted again.
         let same = set.iter().find(|entry| entry.load(Relaxed) & !MINUTE_MASK == who);
         let oldest = || set.iter().min_by_key(|entry| entry.load(Relaxed) & MINUTE_MASK);
         if let Some(entry) = same.or_else(oldest) {
@@ -72,7 +74,7 @@ impl Known {
         }
     }
 
-    /// Whether a client of this net was right within the last day.
+    /// Whether a client sent a right password to this net within the last day.
     pub(super) fn includes(&self, net: NetId, client: IpAddr, now: Nanos) -> bool {
         let (set, who) = self.place(net, client);
         set.iter().map(|entry| entry.load(Relaxed)).any(|entry| {
@@ -81,14 +83,15 @@ impl Known {
         })
     }
 
-    /// The set in which a client is found, and as whom. Of IPv6, a client is its /64.
+    /// The set of a client, and the client's part of its entry. An IPv6 client is its /64.
     fn place(&self, net: NetId, client: IpAddr) -> (&[AtomicU64; WAYS], u64) {
         let address = match client.to_canonical() {
             IpAddr::V4(address) => (4, u64::from(address.to_bits())),
             IpAddr::V6(address) => (6, (address.to_bits() >> 64) as u64),
         };
         let hash = HASH.hash_one((self.nets[usize::from(net.0)], address));
-        // Bits of its own choose the set; who it is may not look like a free place.
+        // The set is chosen by other bits than the entry has. An entry must not look like a free
+        // place.
         let who = (hash & !MINUTE_MASK).max(MINUTE_MASK + 1);
         (&self.sets[hash as usize % SETS], who)
     }

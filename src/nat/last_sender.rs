@@ -1,7 +1,7 @@
-//! Who sent the last datagram of a kind: one writer, any number of readers, no lock.
+//! The sender of the last datagram of a kind: one writer, any number of readers, no lock.
 //!
-//! A version goes up before and after each change, so that a reader finds out when what it read
-//! belongs to two of them (a sequence lock).
+//! A sequence lock: the writer counts a version up before and after each change, so that a reader
+//! notices when it read while a change was under way.
 
 use std::net::{IpAddr, Ipv6Addr};
 use std::sync::atomic::Ordering::{Acquire, Relaxed, Release};
@@ -9,19 +9,19 @@ use std::sync::atomic::{AtomicU64, fence};
 
 use super::time::Nanos;
 
-/// An address, and when it sent.
+/// The address of a sender, and the time when it sent.
 #[derive(Debug, Default)]
 pub struct LastSender {
-    /// Odd while the rest is changed.
+    /// Odd while the other fields are being changed.
     version: AtomicU64,
     /// 0: nobody has sent yet.
     at: AtomicU64,
-    /// As IPv6, upper and lower half.
+    /// An IPv6 address, or an IPv4 address mapped into IPv6: its upper and lower half.
     address: [AtomicU64; 2],
 }
 
 impl LastSender {
-    /// Notes who sent. Called by the one writer only.
+    /// Notes a sender. Called by the one writer only.
     pub fn note(&self, at: Nanos, sender: IpAddr) {
         let octets = match sender {
             IpAddr::V4(sender) => sender.to_ipv6_mapped().to_bits(),
@@ -36,7 +36,7 @@ impl LastSender {
         self.version.store(version.wrapping_add(2), Release);
     }
 
-    /// Who sent last among all that these know; none when nobody did, or one of them is being
+    /// The latest of these senders; none when nobody has sent yet, or when one of them is being
     /// changed.
     pub fn latest<'a>(senders: impl Iterator<Item = &'a Self>) -> Option<IpAddr> {
         let senders: Option<Vec<_>> = senders.map(Self::get).collect();
@@ -44,7 +44,7 @@ impl LastSender {
         Some(last.1)
     }
 
-    /// None while it is changed.
+    /// Time and address; none while they are being changed.
     fn get(&self) -> Option<(Nanos, IpAddr)> {
         let version = self.version.load(Acquire);
         let at = self.at.load(Relaxed);
@@ -87,7 +87,7 @@ mod tests {
         assert_eq!(LastSender::latest(std::iter::once(&sender)), None);
     }
 
-    /// What is read was written so, whenever it is read.
+    /// Time and address always belong to the same datagram.
     #[test]
     fn nothing_is_read_of_two() {
         let sender = LastSender::default();

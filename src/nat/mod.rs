@@ -1,6 +1,7 @@
-//! The NAT itself, pure: table, flows, upstream sockets, throttle, drop reasons, counters.
+//! The NAT itself, without I/O: table, flows, upstream ports, throttle, drop reasons, counters.
 //!
-//! Time and randomness come in as arguments; there is no socket, no clock and no lock here.
+//! Time and randomness are arguments. There is no socket, no clock and no lock here. The way of a
+//! datagram begins in `core`; what a protocol has to say about its octets is in `protocol`.
 
 mod allowed_sources;
 mod budget;

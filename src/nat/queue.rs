@@ -1,5 +1,5 @@
-//! A queue that grows piece by piece, so that a million entries are never moved to make room for one
-//! more.
+//! A queue that grows piece by piece. So room for one more entry never costs moving a million
+//! others.
 
 use std::collections::VecDeque;
 
@@ -26,7 +26,7 @@ impl<T> Queue<T> {
         }
     }
 
-    /// Takes the first one, if it is so.
+    /// Removes and returns the first entry, if this is true of it.
     pub(super) fn pop_if(&mut self, is_so: impl FnOnce(&T) -> bool) -> Option<T> {
         let first = self.0.front_mut()?;
         if !first.front().is_some_and(is_so) {

@@ -1,9 +1,9 @@
-//! Why a datagram was dropped and why a flow ended: one enum each, behind every label, log text
-//! and table that names a reason.
+//! Why a datagram was dropped and why a flow ended. Every label, log line and table takes its
+//! reasons from these two enums.
 
 use strum::VariantArray;
 
-/// The way a datagram travels.
+/// The direction of a datagram.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, VariantArray)]
 pub enum Direction {
     /// From a client to a server node.
@@ -33,52 +33,55 @@ impl Direction {
     }
 }
 
-/// Why a datagram was not passed on.
+/// Why a datagram did not pass.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, VariantArray)]
 pub enum DropReason {
     /// Sent to a broadcast or multicast address.
     NotUnicast,
-    /// Fewer octets than the smallest datagram that could be accepted.
+    /// Fewer octets than any datagram that could pass.
     TooShort,
-    /// More octets than the largest datagram (107).
+    /// More octets than the largest datagram has (107).
     TooLong,
-    /// The four header octets are not the configured ones.
+    /// The first four octets are not the configured header.
     BadHeader,
-    /// The route is malformed, or a response's route has a format that IP does not carry.
+    /// The route is malformed, or a response's route has a format that is not used over IP.
     BadRoute,
-    /// The request's route is well formed but Simple, Immediate, or Complex with one source.
+    /// The request's route is well formed, but Simple, Immediate, or Complex with one source.
     RouteFormat,
-    /// The data-field-format does not agree with the octets that follow.
+    /// The octets after the route are not as many as the data-field-format says.
     BadLength,
     /// The request has no password.
     PasswordMissing,
-    /// The request's password is none of the net's.
+    /// The request's password is none of the net's passwords.
     PasswordWrong,
-    /// It comes from one of the relay's own upstream sockets: a server's address leads back here.
+    /// The request comes from one of the relay's own upstream sockets: a server's address leads
+    /// back to the router.
     Loop,
-    /// No answer could ever reach the sender: its port is 0, its address is no host's, or there is no
-    /// way to it.
+    /// No answer could reach the sender: its port is 0, no host can have its address, or no route
+    /// leads there.
     Unanswerable,
     /// The client's address is in none of the net's allowed networks, or in the plant.
     SourceNotAllowed,
-    /// The sender, or its address, sent too many wrong passwords and is not listened to for a while.
+    /// The sender, or its whole address, sent too many wrong passwords and is refused for a while.
     Throttled,
-    /// The node address in the route is not the one of the public port.
+    /// The node address in the route is not that of the public port.
     NodeMismatch,
-    /// The route names a broadcast address (126 or 127) as a destination.
+    /// A destination in the route is a broadcast address, [`BNA`](crate::pnet::wire::BNA) or
+    /// [`SNA`](crate::pnet::wire::SNA).
     Broadcast,
-    /// More requests a second than the flow or the net may have.
+    /// More requests a second than the flow or the net may send.
     RequestLimit,
-    /// A new flow would exceed the net's or the router's limit, of those that are open or of those that
-    /// were until lately.
+    /// The net's or the router's limit of flows is reached, by open flows or by flows that ended
+    /// within the last two minutes.
     FlowLimit,
     /// No upstream socket is free for a new flow to this server.
     UpstreamExhausted,
     /// The system refused to send.
     SendFailed,
-    /// No flow waits for a response on this socket from this server.
+    /// No flow of this server is open on this socket.
     UnknownFlow,
-    /// The response's password is not the flow's, or is missing where the net requires one.
+    /// The response's password is none that the flow used, or is missing although the net requires
+    /// one.
     PasswordMismatch,
 }
 
@@ -86,7 +89,10 @@ impl DropReason {
     /// How many reasons there are.
     pub const COUNT: usize = Self::VARIANTS.len();
 
-    /// The reasons of requests, in the order of the checks.
+    /// The reasons to drop a request, in the order of the checks.
+    ///
+    /// Before a flow opens, [`Loop`](Self::Loop) and [`Unanswerable`](Self::Unanswerable) are
+    /// checked again, then with the help of the system.
     pub const REQUEST: [Self; 19] = [
         Self::NotUnicast,
         Self::TooShort,
@@ -109,7 +115,10 @@ impl DropReason {
         Self::SendFailed,
     ];
 
-    /// The reasons of responses, in the order of the checks.
+    /// The reasons to drop a response, in the order of the checks.
+    ///
+    /// [`BadRoute`](Self::BadRoute) is checked again after [`BadLength`](Self::BadLength): the
+    /// format of a route that is well formed may not be used over IP.
     pub const RESPONSE: [Self; 8] = [
         Self::UnknownFlow,
         Self::TooShort,
@@ -148,7 +157,7 @@ impl DropReason {
         }
     }
 
-    /// What happened so many times, for the log: "37 wrong passwords".
+    /// The reason with a number, for the log: "37 wrong passwords".
     pub fn counted(self, count: u64) -> String {
         let (one, many) = match self {
             Self::NotUnicast => ("request to many", "requests to many"),
@@ -176,7 +185,7 @@ impl DropReason {
         format!("{count} {}", if count == 1 { one } else { many })
     }
 
-    /// What it means and what to do, for people: docs/troubleshooting.md and the status page.
+    /// What it means and what to do about it, for the documentation and the status page.
     pub const fn explanation(self) -> &'static str {
         match self {
             Self::NotUnicast => {
@@ -247,15 +256,15 @@ impl DropReason {
 pub enum CloseReason {
     /// Nothing passed in either direction for the net's idle timeout (RFC 4787 REQ-5, REQ-6).
     Idle,
-    /// A new configuration has the public port no more, or for another server.
+    /// A new configuration does not have the public port any more, or has it for another server.
     MappingRemoved,
     /// A new configuration does not allow the client's address any more.
     SourceWithdrawn,
-    /// A new configuration has the flow's password no more.
+    /// A new configuration does not have the flow's password any more.
     PasswordWithdrawn,
-    /// A new configuration listens on the port that the flow's upstream socket had.
+    /// A new configuration has a public port that the flow's upstream socket used.
     PortWanted,
-    /// The router stopped.
+    /// The relay stopped.
     Shutdown,
 }
 

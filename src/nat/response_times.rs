@@ -1,8 +1,8 @@
-//! How long answers took: for one node, written by one worker, a histogram.
+//! A histogram of one node's response times, written by one worker.
 //!
-//! Its buckets are fine enough to tell a person a median, and each keeps the sum of its times: of a
-//! node whose answers all take about the same, that is the time itself. Every bound of
-//! [`RESPONSE_BUCKETS`], which Prometheus gets, is a bound here.
+//! The buckets are fine enough to show a median. Each also keeps the sum of its times, so that the
+//! average is exact where all answers take about the same time. Every bound of
+//! [`RESPONSE_BUCKETS`], the buckets for Prometheus, is a bound here too.
 
 use std::time::Duration;
 
@@ -12,7 +12,7 @@ use super::counters::Counter;
 pub const RESPONSE_BUCKETS: [f64; 10] =
     [0.0002, 0.0005, 0.001, 0.002, 0.005, 0.01, 0.05, 0.2, 1.0, 5.0];
 
-/// Renard's series R20: 20 bounds for each power of ten, each an eighth above the one before.
+/// Renard's series R20: 20 bounds for each power of ten, each about an eighth above the one before.
 const SERIES: [u64; 20] = [
     100, 112, 125, 140, 160, 180, 200, 224, 250, 280, 315, 355, 400, 450, 500, 560, 630, 710, 800,
     900,
@@ -37,7 +37,7 @@ pub const FINE_BUCKETS: usize = FINE_BOUNDS.len() + 1;
 #[derive(Debug)]
 pub struct ResponseTimes([Bucket; FINE_BUCKETS]);
 
-/// Answers that took about the same time.
+/// The answers of one bucket.
 #[derive(Debug, Default)]
 struct Bucket {
     answers: Counter,
@@ -59,7 +59,7 @@ impl ResponseTimes {
         bucket.sum_nanos.add(nanos);
     }
 
-    /// How many answers fell into each bucket alone (not cumulated), and the sum of their times in
+    /// For each bucket, its number of answers (not cumulative) and the sum of their times in
     /// nanoseconds.
     pub fn buckets(&self) -> impl Iterator<Item = (u64, u64)> {
         self.0.iter().map(|bucket| (bucket.answers.get(), bucket.sum_nanos.get()))

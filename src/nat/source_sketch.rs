@@ -1,8 +1,8 @@
-//! How many different sources sent dropped datagrams: an estimate in fixed memory, whatever
-//! arrives.
+//! An estimate of how many different sources sent dropped datagrams, in memory of fixed size.
 //!
-//! Linear counting (Whang, Vander-Zanden, Taylor, 1990): each source sets the one bit that its
-//! hash names; the share of bits still clear tells how many there were. Sources are never stored.
+//! Linear counting (Whang, Vander-Zanden, Taylor, 1990): the hash of each source chooses one bit to
+//! set, and the share of bits still clear tells how many sources there were. Sources are not
+//! stored.
 
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 
@@ -14,27 +14,27 @@ const WORDS: usize = (BITS / u64::BITS) as usize;
 pub struct SourceSketch([AtomicU64; WORDS]);
 
 impl SourceSketch {
-    /// The largest estimate, reached with one bit still clear: 1024 · ln 1024. It stands for
-    /// itself and everything above.
+    /// The largest estimate, when one bit is still clear: 1024 · ln 1024. It also stands for every
+    /// larger number.
     pub const MOST: u32 = 7098;
 
-    /// Notes a source. All sketches that are merged must be given hashes of the same function.
+    /// Notes a source by its hash. Sketches that are merged need hashes of the same function.
     pub fn note(&self, hash: u64) {
         let bit = mixed(hash) >> (u64::BITS - BITS.ilog2());
         let (word, mask) = (&self.0[(bit / 64) as usize], 1 << (bit % 64));
-        // A source that goes on and on costs a load: the cache line stays shared.
+        // A source that sends on and on costs only a load: the cache line stays shared.
         if word.load(Relaxed) & mask == 0 {
             word.fetch_or(mask, Relaxed);
         }
     }
 
-    /// About how many different sources these sketches have seen together, 0 to
-    /// [`MOST`](Self::MOST). A source that two of them saw counts once.
+    /// About how many different sources these sketches have noted together, 0 to
+    /// [`MOST`](Self::MOST). A source that two sketches noted counts once.
     pub fn estimate<'a>(sketches: impl Iterator<Item = &'a Self>) -> u32 {
         Self::merge(sketches, |word| word.load(Relaxed))
     }
 
-    /// The same, and clears them.
+    /// As [`estimate`](Self::estimate), and clears the sketches.
     pub fn take_estimate<'a>(sketches: impl Iterator<Item = &'a Self>) -> u32 {
         Self::merge(sketches, |word| word.swap(0, Relaxed))
     }
@@ -55,8 +55,8 @@ impl SourceSketch {
     }
 }
 
-/// Spreads the hash over the high bits (the finalizer of SplitMix64). A fast hash spreads
-/// neighbouring addresses too evenly, and linear counting expects the collisions of chance.
+/// Mixes the hash again (the finalizer of SplitMix64). A fast hash spreads neighbouring addresses
+/// too evenly, but linear counting expects as many collisions as chance makes.
 fn mixed(hash: u64) -> u64 {
     let hash = (hash ^ (hash >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
     (hash ^ (hash >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb)

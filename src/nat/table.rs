@@ -1,6 +1,6 @@
-//! The NAT table: which public port stands for which server node, and who may use it.
+//! The NAT table: which public port stands for which server node, and which clients may use it.
 //!
-//! A [`Table`] is immutable and already validated; `config` makes it, every worker shares it.
+//! A [`Table`] does not change and is already validated. `config` makes it; all workers share it.
 
 use std::collections::HashMap;
 use std::net::{IpAddr, SocketAddr};
@@ -16,40 +16,40 @@ use super::gcra::RequestRate;
 use super::ids::{MappingId, NetId};
 use super::protocol::{Header, Password};
 
-/// What stands behind a net's name.
+/// The two kinds of nets.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum NetKind {
-    /// A block of public ports: public port = start port + node address (PAS 5.2.6, 8 d).
+    /// A block of public ports, one for each node: start port + node address (PAS 5.2.6, 8 d).
     UdpRange {
-        /// UDPPort of the client's IPNetTable.
+        /// UDPPort in the client's IPNetTable.
         start_port: u16,
     },
     /// One server outside any range.
     Server,
 }
 
-/// Clients and rules of one plant section, or of one single server.
+/// One plant section, or one single server: its clients and its rules.
 #[derive(Clone, Debug)]
 pub struct Net {
     /// Name in metrics, logs and the API; unique in the table.
     pub name: String,
     /// UDP Range net or single server.
     pub kind: NetKind,
-    /// Networks that clients may come from; see [`Table::allows`].
+    /// Networks that clients may send from; see [`Table::allows`].
     pub allow: Vec<IpNet>,
-    /// Passwords that open the net; empty only with `allow_without_password`.
+    /// The passwords of the net; empty only with `allow_without_password`.
     pub credentials: Vec<Credential>,
-    /// Requests without a password are passed on (against PAS 7, so only when asked for by name).
+    /// Requests without a password pass. PAS 7 forbids it, so it has to be configured.
     pub allow_without_password: bool,
-    /// A response without a password is dropped.
+    /// Responses without a password are dropped.
     pub require_response_password: bool,
-    /// A flow ends after this long without a datagram either way (RFC 4787 REQ-5).
+    /// A flow ends after this time without a datagram in either direction (RFC 4787 REQ-5).
     pub idle_timeout: Duration,
     /// Flows that may be open at once.
     pub max_flows: u32,
-    /// Requests that may pass, of all clients together; none: any number.
+    /// Requests a second of all clients together; none: any number.
     pub max_requests: Option<RequestRate>,
-    /// Requests that may pass of each flow; none: any number.
+    /// Requests a second of each flow; none: any number.
     pub max_flow_requests: Option<RequestRate>,
 }
 
@@ -71,8 +71,8 @@ impl Net {
         }
     }
 
-    /// Index of the credential with this password. Every password of the net is compared, so that
-    /// the time taken tells nothing about any of them.
+    /// Index of the credential with this password. All passwords of the net are compared, so that
+    /// the time does not depend on them.
     #[inline]
     pub fn credential(&self, password: &[u8; Password::LEN]) -> Option<u16> {
         let mut found = u16::MAX;
@@ -90,12 +90,13 @@ pub struct Credential {
     pub name: String,
     /// What clients send.
     pub password: Password,
-    /// What the servers expect, where it differs: put in on the way in, taken out on the way back.
+    /// What the servers expect, if that is another password. It takes the place of the client's in
+    /// a request, and gives it back in a response.
     pub device_password: Option<Password>,
 }
 
 impl Credential {
-    /// What the servers expect and answer with.
+    /// The password that servers expect in a request and put into a response.
     pub fn at_server(&self) -> &Password {
         self.device_password.as_ref().unwrap_or(&self.password)
     }
@@ -106,39 +107,39 @@ impl Credential {
 pub struct Mapping {
     /// The net it belongs to.
     pub net: NetId,
-    /// P-NET node address, 1..=125.
+    /// P-NET node address of the server, 1 to [`LAST_NODE`](crate::pnet::wire::LAST_NODE).
     pub node_address: u8,
-    /// UDP port on the Internet side.
+    /// UDP port of the router to which clients send.
     pub public_port: u16,
     /// The server's address and Secure UDP port.
     pub server: SocketAddr,
 }
 
-/// Bounds that hold for the router as a whole.
+/// Limits of the router as a whole.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Limits {
     /// Flows that may be open at once, over all nets.
     pub max_flows: u32,
-    /// Wrong passwords that an address and port may send before it is throttled.
+    /// Wrong passwords that an address and port may send before they are throttled.
     pub wrong_password_burst: u16,
-    /// Wrong passwords that an address as a whole (of IPv6, its /64) may send before it is throttled.
-    /// All of them are forgiven in the time in which all of a sender's are.
+    /// Wrong passwords that an address (IPv6: a /64) may send from all its ports before it is
+    /// throttled. All of them are forgiven in the same time as all of one address and port.
     pub wrong_password_address_burst: u32,
-    /// One wrong password of an address and port is forgiven in each such interval.
+    /// In each interval of this length, one wrong password of an address and port is forgiven.
     pub wrong_password_interval: Duration,
 }
 
-/// The whole NAT table. Public ports and servers are unique in it.
+/// The whole NAT table. Each public port and each server is in it once.
 #[derive(Debug)]
 pub struct Table {
-    /// What every datagram begins with.
+    /// The header that every datagram begins with.
     pub header: Header,
     nets: Vec<Net>,
     mappings: Vec<Mapping>,
     sources: Vec<Arc<Sources>>,
-    /// Net by net.
+    /// The mappings in the order of their nets.
     by_net: Vec<MappingId>,
-    /// Only looked up in, by addresses that the operator has written.
+    /// The operator has written all its keys, so nobody can make their hashes collide.
     by_server: HashMap<SocketAddr, MappingId, FixedState>,
 }
 
@@ -186,8 +187,8 @@ impl Table {
         &self.nets[usize::from(id.0)]
     }
 
-    /// Whether a client at this address may use the net: a network of its `allow` holds the address,
-    /// and where that is in the plant, one that lies in the plant.
+    /// Whether a client at this address may use the net: one of the networks in `allow` contains
+    /// the address. For an address inside the plant, only networks inside the plant count (N-4).
     #[inline]
     pub fn allows(&self, net: NetId, source: IpAddr) -> bool {
         self.sources[usize::from(net.0)].contains(source)
@@ -198,7 +199,7 @@ impl Table {
         self.mappings[id.0 as usize]
     }
 
-    /// The mapping whose server has this address, if one has.
+    /// The mapping of the server with this address.
     pub fn mapping_of_server(&self, server: SocketAddr) -> Option<MappingId> {
         self.by_server.get(&server).copied()
     }

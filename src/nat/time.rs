@@ -1,5 +1,5 @@
 //! Time as the NAT keeps it.
 
-/// Nanoseconds since the relay's start, and one more: 0 stands for never. Half the room of an
-/// `Instant`, and quicker to compare.
+/// Nanoseconds since the relay's start, plus one: 0 stands for never. It takes half the memory of
+/// an `Instant`, and is quicker to compare.
 pub(super) type Nanos = u64;

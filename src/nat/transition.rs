@@ -1,7 +1,7 @@
-//! What becomes of flows when new rules come: which of the old ones' indices is which of the new
-//! ones', or why there is none.
+//! What happens to flows when new rules come: which index of the old table is which index of the
+//! new one, or why there is none.
 //!
-//! Worked out once for all workers, so that a worker that goes over looks nothing up by name.
+//! It is computed once for all workers, so that no worker has to look anything up by name.
 
 use std::collections::{BTreeSet, HashMap};
 
@@ -11,25 +11,25 @@ use super::reason::CloseReason;
 use super::rules::Rules;
 use super::table::{Credential, Net, Table};
 
-/// The way from one table to the next.
+/// Which mappings, credentials and sockets of one table are in the next.
 #[derive(Debug)]
 pub struct Transition {
-    /// By the old mapping: the same net, node, public port and server.
+    /// For each old mapping, the new one with the same net, node, public port and server.
     mappings: Box<[Option<MappingId>]>,
-    /// By the old net and the old credential: the same passwords.
+    /// For each old net and credential, the new credential with the same passwords.
     credentials: Box<[Box<[Option<u16>]>]>,
-    /// Public sockets that are there no more.
+    /// Public sockets that are closed.
     gone: BTreeSet<ListenerId>,
 }
 
-/// Where a flow stands in new rules.
+/// The mapping and the credential of a flow in the new table.
 pub(super) struct FlowTarget {
     pub mapping: MappingId,
     pub credential: Option<u16>,
 }
 
 impl Transition {
-    /// The way from `old` to `new`, which leaves the public sockets `gone` behind.
+    /// The transition from `old` to `new`, in which the public sockets `gone` are closed.
     pub fn new(old: &Rules, new: &Rules, gone: BTreeSet<ListenerId>) -> Self {
         let (old, new) = (&*old.table, &*new.table);
         let known: HashMap<_, _> =
@@ -51,12 +51,12 @@ impl Transition {
         Self { mappings: mappings.collect(), credentials: credentials.collect(), gone }
     }
 
-    /// What a credential of an old net is called now, if its passwords are still there.
+    /// The new index of a credential of an old net, if its passwords are still there.
     pub(super) fn credential(&self, net: NetId, index: u16) -> Option<u16> {
         self.credentials[usize::from(net.0)][usize::from(index)]
     }
 
-    /// Where a flow of the old table stands in the new one, or why it has to go.
+    /// The mapping and credential of a flow in the new table, or why it has to be closed.
     pub(super) fn place(
         &self,
         flow: &Flow,
@@ -83,7 +83,7 @@ impl Transition {
     }
 }
 
-/// Index of the credential with these passwords, the one of clients and the one of servers.
+/// Index of the credential of this net with the same two passwords, the clients' and the servers'.
 pub(super) fn same_credential(was: &Credential, net: &Net) -> Option<u16> {
     net.credential(was.password.octets()).filter(|&index| {
         let is = &net.credentials[usize::from(index)];

@@ -1,11 +1,13 @@
-//! Which of the router's own sockets a flow uses towards its server.
+//! Which of the router's upstream sockets a flow uses towards its server.
 //!
-//! One socket serves many clients, but never two at the same server: an answer is told apart by
-//! (socket, server) alone. A client keeps to one socket as far as it can, so that a server's table
-//! of dynamic clients does not fill. A pair that a flow gave up rests for 120 s before
-//! another client may have it (N-9, RFC 6888 REQ-8); its port cannot be had again meanwhile, for
-//! the socket stays open as long as one of its pairs is in use or rests. How many pairs a net may
-//! have is bounded, and with them its sockets.
+//! One socket serves many clients, but at each server only one of them: an answer shows nothing but
+//! the pair (socket, server) that it belongs to. A client keeps the same socket where possible, so
+//! that the servers' tables of dynamic clients do not fill up.
+//!
+//! After a flow has ended, its pair rests for 120 s before another client may use it (N-9, RFC 6888
+//! REQ-8). A socket stays open as long as one of its pairs is in use or rests, so its port is not
+//! free for others either. The number of pairs of each net has a limit, and so has the number of
+//! sockets.
 
 use std::collections::HashMap;
 use std::net::{IpAddr, SocketAddr};
@@ -22,21 +24,21 @@ use super::rules::Rules;
 use super::table::{Mapping, Table};
 use super::time::Nanos;
 
-/// How long a pair that a flow gave up is kept from other clients.
+/// How long a pair rests after its flow has ended.
 const REST: Nanos = 120_000_000_000;
 
-/// How many open sockets are tried at random before another is opened.
+/// How many open sockets are tried at random before another one is opened.
 const PROBES: usize = 8;
 
-/// How many are tried, beginning with any, when no other can be opened: who asks for it must not
-/// hold up everybody else.
+/// How many are tried one after the other when no other socket can be opened. A longer search would
+/// hold up all other datagrams.
 const LAST_PROBES: usize = 1024;
 
-/// How many pairs are freed in one go. Each may take a socket with it, which costs a system call.
+/// How many pairs one call frees. Each may close a socket, which costs a system call.
 const AT_ONCE: usize = if cfg!(test) { 2 } else { 64 };
 
-/// Whose flow a (socket, server) serves: the client and where it sends to. Answers that come late,
-/// to a flow that was closed and opened again, leave from there too.
+/// The client that a pair serves, and where the client sends to. So a late answer to a flow that
+/// was closed and opened again still leaves from the right address and port.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Owner {
     pub client: SocketAddr,
@@ -48,14 +50,14 @@ pub(super) struct Owner {
 #[derive(Debug)]
 pub(super) struct Upstreams {
     sockets: Slab<Socket>,
-    /// The keys of `sockets`, dense, to pick from.
+    /// The keys of the open sockets in a dense list, to pick one at random.
     open: Vec<UpstreamId>,
-    /// Those that no flow is given any more, until their last answers are in.
+    /// Sockets that wait for last answers and take no new flow.
     leaving: Vec<UpstreamId>,
     pairs: HashMap<(UpstreamId, SocketAddr), Lease, SeedableRandomState>,
-    homes: HashMap<(SocketAddr, IpAddr), ClientAffinity, SeedableRandomState>,
-    /// When the pairs that were given up will have rested, in that order. One that was taken up
-    /// again since is still here.
+    affinities: HashMap<(SocketAddr, IpAddr), ClientAffinity, SeedableRandomState>,
+    /// Resting pairs, in the order in which their rest ends. A pair that came into use again is
+    /// still in here.
     resting: Queue<(Nanos, UpstreamId, SocketAddr)>,
     random: fastrand::Rng,
 }
@@ -64,7 +66,7 @@ pub(super) struct Upstreams {
 struct Socket {
     ipv4: bool,
     port: u16,
-    /// Its place among those that are open.
+    /// Its index in `open`.
     place: usize,
     /// Pairs in use or resting.
     pairs: u32,
@@ -74,13 +76,13 @@ struct Socket {
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum SocketState {
     Open,
-    /// Its port is wanted for something else: it takes answers and is given to no flow.
+    /// Its port is wanted for something else: it waits for last answers and takes no new flow.
     Leaving,
-    /// That is over; its pairs do no more than rest.
+    /// Closed after that. Its pairs still rest.
     Closed,
 }
 
-/// A (socket, server) that is in use or rests.
+/// The use of a pair by one client, or its rest afterwards.
 #[derive(Debug)]
 struct Lease {
     owner: Owner,
@@ -94,8 +96,8 @@ enum PairState {
     RestsUntil(Nanos),
 }
 
-/// The socket that a client keeps to, for what it sends to one public address: towards a server, a
-/// client of two needs two.
+/// The socket that a client keeps for all that it sends to one public address. A client that sends
+/// to two public addresses needs two sockets, because it may talk to one server through both.
 #[derive(Debug)]
 struct ClientAffinity {
     socket: UpstreamId,
@@ -104,22 +106,23 @@ struct ClientAffinity {
 }
 
 impl Upstreams {
-    /// No sockets, and room for the pairs of so many flows.
+    /// No sockets, and memory for the pairs of this many flows.
     pub(super) fn new(hash: SeedableRandomState, random: fastrand::Rng, capacity: usize) -> Self {
         Self {
             sockets: Slab::new(),
             open: Vec::new(),
             leaving: Vec::new(),
             pairs: HashMap::with_capacity_and_hasher(capacity, hash.clone()),
-            homes: HashMap::with_capacity_and_hasher(capacity, hash),
+            affinities: HashMap::with_capacity_and_hasher(capacity, hash),
             resting: Queue::new(),
             random,
         }
     }
 
-    /// Gives a flow a socket on which nobody else talks to its server, and tells its port. Fails when
-    /// too many pairs of its net are in use or rest, or there is no such socket and no other can be
-    /// opened.
+    /// Finds a socket for a flow on which nobody else talks to its server, and returns it with its
+    /// port. Fails with [`FlowLimit`](DropReason::FlowLimit) when as many pairs as allowed are in
+    /// use or rest, and with [`UpstreamExhausted`](DropReason::UpstreamExhausted) when there is no
+    /// such socket and no other can be opened.
     pub(super) fn assign(
         &mut self,
         owner: Owner,
@@ -128,15 +131,15 @@ impl Upstreams {
         effects: &mut impl Effects,
     ) -> Result<(UpstreamId, u16), DropReason> {
         let server = mapping.server;
-        let home = self.home(owner, server);
-        if let Some(socket) = home
+        let kept = self.kept_socket(owner, server);
+        if let Some(socket) = kept
             && let Some(pair) = self.pairs.get_mut(&(socket, server))
         {
-            pair.state = PairState::Used; // what rests for this very client
+            pair.state = PairState::Used; // the client's own pair, which rests
             return Ok((socket, self.sockets[socket.key()].port));
         }
         let place = rules.budget.take_pair(mapping.net).ok_or(DropReason::FlowLimit)?;
-        let socket = home
+        let socket = kept
             .or_else(|| self.probe(owner, server))
             .or_else(|| self.open(&rules.table, mapping, effects))
             .or_else(|| self.search(owner, server))
@@ -144,18 +147,20 @@ impl Upstreams {
         let used = Lease { owner, state: PairState::Used, _place: place };
         if self.pairs.insert((socket, server), used).is_none() {
             self.sockets[socket.key()].pairs += 1;
-            let home =
-                self.homes.entry(owner.home()).or_insert(ClientAffinity { socket, pairs: 0 });
-            home.pairs += 1;
-            let at_home = self.sockets.get(home.socket.key());
-            if at_home.is_some_and(|socket| socket.state != SocketState::Open) {
-                home.socket = socket;
+            let affinity = self
+                .affinities
+                .entry(owner.affinity())
+                .or_insert(ClientAffinity { socket, pairs: 0 });
+            affinity.pairs += 1;
+            let kept = self.sockets.get(affinity.socket.key());
+            if kept.is_some_and(|socket| socket.state != SocketState::Open) {
+                affinity.socket = socket;
             }
         }
         Ok((socket, self.sockets[socket.key()].port))
     }
 
-    /// Gives no flow any more the sockets whose ports are wanted for something else.
+    /// From now on, no new flow gets a socket whose port is wanted for something else.
     pub(super) fn leave(&mut self, is_wanted: impl Fn(u16) -> bool) {
         let wanted = |id: &UpstreamId| is_wanted(self.sockets[id.key()].port);
         let leaving: Vec<_> = self.open.iter().copied().filter(wanted).collect();
@@ -168,14 +173,14 @@ impl Upstreams {
         self.leaving.extend(leaving);
     }
 
-    /// Whether a flow's socket is about to be closed, so that the flow has to go to another one.
+    /// Whether a socket is about to be closed, so that its flows need another one.
     pub(super) fn is_leaving(&self, socket: UpstreamId) -> bool {
         let socket = self.sockets.get(socket.key());
         socket.is_some_and(|socket| socket.state == SocketState::Leaving)
     }
 
-    /// Closes the sockets that are about to be closed and whose last answers are in. Tells whether
-    /// there are others.
+    /// Closes the sockets that are about to be closed and are not used by a flow any more. True
+    /// while there are others.
     pub(super) fn close_left(
         &mut self,
         is_used: impl Fn(UpstreamId) -> bool,
@@ -193,7 +198,7 @@ impl Upstreams {
         !self.leaving.is_empty()
     }
 
-    /// Takes a flow's socket from it; the pair begins to rest.
+    /// Ends the use of a pair; it begins to rest.
     pub(super) fn release(&mut self, socket: UpstreamId, server: SocketAddr, now: Nanos) {
         if let Some(pair) = self.pairs.get_mut(&(socket, server)) {
             let end = now + REST;
@@ -202,8 +207,8 @@ impl Upstreams {
         }
     }
 
-    /// Frees the pairs that have rested, and closes the sockets that nothing needs any more: so many
-    /// at a time. Tells whether there are more.
+    /// Frees pairs whose rest is over, and closes sockets without a pair. Each call does a part of
+    /// it; true means that there may be more.
     pub(super) fn expire(&mut self, now: Nanos, effects: &mut impl Effects) -> bool {
         for _ in 0..AT_ONCE {
             let rested = self.resting.pop_if(|&(end, ..)| end <= now);
@@ -212,7 +217,7 @@ impl Upstreams {
             let (owner, state) = (pair.owner, pair.state);
             if state == PairState::RestsUntil(end) {
                 self.pairs.remove(&(socket, server));
-                self.leave_home(owner);
+                self.leave_affinity(owner);
                 self.leave_socket(socket, effects);
             }
         }
@@ -244,15 +249,15 @@ impl Upstreams {
             assert!(pairs > 0, "a socket that nothing needs is closed");
             assert!(socket.state != SocketState::Open || self.open[socket.place].key() == key);
         }
-        for (key, home) in &self.homes {
-            let pairs = self.pairs.values().filter(|pair| pair.owner.home() == *key).count();
-            assert_eq!(pairs, home.pairs as usize);
+        for (key, affinity) in &self.affinities {
+            let pairs = self.pairs.values().filter(|pair| pair.owner.affinity() == *key).count();
+            assert_eq!(pairs, affinity.pairs as usize);
         }
     }
 
-    fn home(&self, owner: Owner, server: SocketAddr) -> Option<UpstreamId> {
-        let home = self.homes.get(&owner.home())?;
-        self.may_use(home.socket, owner, server).then_some(home.socket)
+    fn kept_socket(&self, owner: Owner, server: SocketAddr) -> Option<UpstreamId> {
+        let affinity = self.affinities.get(&owner.affinity())?;
+        self.may_use(affinity.socket, owner, server).then_some(affinity.socket)
     }
 
     fn probe(&mut self, owner: Owner, server: SocketAddr) -> Option<UpstreamId> {
@@ -287,20 +292,20 @@ impl Upstreams {
     }
 
     fn may_use(&self, socket: UpstreamId, owner: Owner, server: SocketAddr) -> bool {
-        // A client's home may have been closed, while it still has pairs elsewhere.
+        // The client's socket may be closed while the client still has pairs on others.
         self.sockets.get(socket.key()).is_some_and(|socket| {
             socket.ipv4 == server.is_ipv4() && socket.state == SocketState::Open
         }) && self.pairs.get(&(socket, server)).is_none_or(|pair| {
-            // A pair does not have to rest for whom it served.
+            // For the client that it served, a pair need not rest.
             pair.owner == owner && matches!(pair.state, PairState::RestsUntil(_))
         })
     }
 
-    fn leave_home(&mut self, owner: Owner) {
-        if let Some(home) = self.homes.get_mut(&owner.home()) {
-            home.pairs -= 1;
-            if home.pairs == 0 {
-                self.homes.remove(&owner.home());
+    fn leave_affinity(&mut self, owner: Owner) {
+        if let Some(affinity) = self.affinities.get_mut(&owner.affinity()) {
+            affinity.pairs -= 1;
+            if affinity.pairs == 0 {
+                self.affinities.remove(&owner.affinity());
             }
         }
     }
@@ -319,7 +324,7 @@ impl Upstreams {
         }
     }
 
-    /// Takes a socket from among those that are open, where it has this place.
+    /// Removes the socket at this index from the open ones.
     fn forget(&mut self, place: usize) {
         self.open.swap_remove(place);
         if let Some(moved) = self.open.get(place) {
@@ -329,8 +334,8 @@ impl Upstreams {
 }
 
 impl Owner {
-    /// What homes are found by.
-    fn home(self) -> (SocketAddr, IpAddr) {
+    /// What a client's affinity is found by.
+    fn affinity(self) -> (SocketAddr, IpAddr) {
         (self.client, self.public_address)
     }
 }

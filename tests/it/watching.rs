@@ -32,7 +32,7 @@ fn wrong_passwords_make_one_line() {
     assert!(message.ends_with(&format!(", the last one {}", last.as_str().unwrap())), "{message}");
 }
 
-/// N-10, RFC 6888 REQ-12.
+/// N-10, RFC 6888 section 4.
 #[test]
 fn a_flow_is_logged_when_it_opens_and_when_it_closes() {
     let site = Site::claim();

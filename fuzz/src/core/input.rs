@@ -1,11 +1,12 @@
-//! Octets of a fuzzer as choices, and as datagrams: sound ones, damaged ones, any at all.
+//! Choices and datagrams from the octets of a fuzzer. The datagrams are valid, damaged, or any
+//! octets.
 
 use pnet_nat::pnet::wire::MAX_DATAGRAM;
 
 /// What clients may try as a password.
 const PASSWORDS: [&[u8; 8]; 5] = [b"service!", b"rotated!", b"press!!!", b"device!!", b"gu3ss3d!"];
 
-/// What is left of the input. At its end every choice is the first one.
+/// The rest of the input. At its end, every choice is the first one.
 pub(super) struct Input<'a>(&'a [u8]);
 
 impl<'a> Input<'a> {
@@ -27,7 +28,7 @@ impl<'a> Input<'a> {
         among[usize::from(self.octet()) % among.len()].clone()
     }
 
-    /// A request to this node, more or less.
+    /// A request to this node, maybe damaged, or any octets.
     pub(super) fn datagram(&mut self, node_address: u8) -> Vec<u8> {
         let shape = self.octet();
         if shape >= 0xF0 {
@@ -49,7 +50,7 @@ impl<'a> Input<'a> {
         octets
     }
 
-    /// Changes an octet, cuts some off or adds some; or leaves them as they are.
+    /// Changes some octets, cuts some off or adds some, or leaves all as they are.
     pub(super) fn damage(&mut self, octets: &mut Vec<u8>) {
         match self.octet() {
             fewer @ 128..192 => octets.truncate(octets.len().saturating_sub((fewer - 127).into())),

@@ -1,4 +1,4 @@
-//! The configurations that the operator changes between. Each bit of an octet is one difference.
+//! The configurations of the steps. Each bit of one octet is one difference between them.
 
 use std::sync::Arc;
 use std::time::Duration;

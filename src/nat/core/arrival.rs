@@ -27,8 +27,8 @@ impl Arrival {
         !self.public_address.is_unspecified()
     }
 
-    /// Whether the relay sent the request itself, as far as the datagram shows it: it has the port of
-    /// an upstream socket, and the source address that a host uses towards its own addresses.
+    /// Whether the relay sent the request itself, as far as the datagram shows it: it has the port
+    /// of an upstream socket, and the source address that a host uses towards its own addresses.
     #[inline]
     pub(super) fn is_loop(&self, effects: &impl Effects) -> bool {
         let ip = self.client.ip();
@@ -36,14 +36,15 @@ impl Arrival {
             && (ip == self.public_address || ip.to_canonical().is_loopback())
     }
 
-    /// Whether the relay sent the request itself, even if its source address was translated to another
-    /// one of the router's. This asks the system, but only about ports of upstream sockets.
+    /// Whether the relay sent the request itself, even if its source address was translated to
+    /// another one of the router's. This asks the system, but only about ports of upstream sockets.
     pub(super) fn comes_back(&self, effects: &mut impl Effects) -> bool {
         effects.has_upstream_port(self.client.port()) && effects.is_own_address(self.client)
     }
 
-    /// Whether the client's address shows that no answer can reach it: nothing listens on port 0, no
-    /// host has such an address, and a datagram from a link-local address does not leave the link.
+    /// Whether the client's address shows that no answer can reach it: nothing listens on port 0,
+    /// no host has such an address, and a datagram from a link-local address does not leave the
+    /// link.
     #[inline]
     pub(super) fn is_unanswerable(&self) -> bool {
         let no_host = match self.client.ip().to_canonical() {

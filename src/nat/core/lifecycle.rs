@@ -18,8 +18,8 @@ use crate::nat::upstream_ports::Owner;
 const LAST_ANSWERS: Nanos = 2_000_000_000;
 
 impl Core {
-    /// Opens the flow of a request that passed all checks, if there is room for it and a way back to
-    /// the client.
+    /// Opens the flow of a request that passed all checks, if there is room for it and a way back
+    /// to the client.
     pub(super) fn open(
         &mut self,
         now: Nanos,
@@ -73,8 +73,8 @@ impl Core {
     }
 
     /// Closes flows that have been idle for their net's time-out and sockets that nothing needs any
-    /// more, and reports senders whose throttling is over. To be called about once a second. Each call
-    /// does a part of the work; true means that it should be called again at once.
+    /// more, and reports senders whose throttling is over. To be called about once a second. Each
+    /// call does a part of the work; true means that it should be called again at once.
     pub fn expire(&mut self, now: Instant, effects: &mut impl Effects) -> bool {
         self.close_left(now, effects);
         let now = self.nanos(now);
@@ -119,8 +119,8 @@ impl Core {
         self.note_withdrawn(&flow);
     }
 
-    /// Closes a flow for its client, whose next request opens another one. Answers to earlier requests
-    /// still pass.
+    /// Closes a flow for its client, whose next request opens another one. Answers to earlier
+    /// requests still pass.
     pub(super) fn leave(&mut self, id: FlowId, now: Nanos, effects: &mut impl Effects) {
         self.flows.leave(id);
         self.note_closed(self.flows.get(id), CloseReason::PortWanted, now, effects);

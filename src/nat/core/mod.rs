@@ -1,9 +1,9 @@
 //! The NAT of one worker: takes a datagram, and says where it goes or why it is dropped.
 //!
-//! The caller does the sending and reports it: every datagram is counted once as received, and once as
-//! forwarded or dropped. Before a sender's password was right, only tables of fixed size know of it:
-//! those of the [throttle](super::throttle), and of each drop reason the sketch of its sources and its
-//! last sender. So strangers cannot make memory grow.
+//! The caller does the sending and reports it: every datagram is counted once as received, and once
+//! as forwarded or dropped. Before a sender's password was right, only tables of fixed size know of
+//! it: those of the [throttle](super::throttle), and of each drop reason the sketch of its sources
+//! and its last sender. So strangers cannot make memory grow.
 
 mod arrival;
 #[cfg(test)]
@@ -45,8 +45,8 @@ use reload::GoingOver;
 /// addresses collide only makes the estimate of their number smaller.
 const SOURCE_HASH: FixedState = FixedState::with_seed(0);
 
-/// How many flows one call looks at when there is something to do about all of them, so that datagrams
-/// are handled in between. So few in tests that a handful of flows takes several calls.
+/// How many flows one call looks at when there is something to do about all of them, so that
+/// datagrams are handled in between. So few in tests that a handful of flows takes several calls.
 const AT_ONCE: usize = if cfg!(test) { 2 } else { 256 };
 
 /// The flows of one worker and all that decides about them.
@@ -90,9 +90,9 @@ impl Core {
         }
     }
 
-    /// Counts a request that the system took. If it `asks` for an answer, the answer is due from now
-    /// on: a node that was asked and does not answer is silent. To be called before the next datagram
-    /// is judged.
+    /// Counts a request that the system took. If it `asks` for an answer, the answer is due from
+    /// now on: a node that was asked and does not answer is silent. To be called before the next
+    /// datagram is judged.
     #[inline]
     pub fn request_sent(
         &mut self,

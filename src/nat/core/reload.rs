@@ -1,9 +1,9 @@
 //! A new configuration for a core at work.
 //!
-//! New rules hold for the next datagram, however many flows there are. A flow goes over to them when a
-//! datagram touches it, and otherwise when its turn comes, some flows at a time. It lives on with its
-//! upstream port if its mapping, its password and its client's address are still good. Otherwise it
-//! is closed in its turn, and until then nothing passes through it.
+//! New rules hold for the next datagram, however many flows there are. A flow goes over to them
+//! when a datagram touches it, and otherwise when its turn comes, some flows at a time. It lives on
+//! with its upstream port if its mapping, its password and its client's address are still good.
+//! Otherwise it is closed in its turn, and until then nothing passes through it.
 
 use std::mem;
 use std::sync::Arc;
@@ -74,8 +74,8 @@ impl Core {
         self.upstreams.leave(|port| wanted[usize::from(port)]);
     }
 
-    /// Lets some more flows go over to the rules of the last [`reload`](Self::reload). Once all have,
-    /// returns how many flows the reload closed; none before that, and none without a reload.
+    /// Lets some more flows go over to the rules of the last [`reload`](Self::reload). Once all
+    /// have, returns how many flows the reload closed; none before that, and none without a reload.
     pub fn go_over(&mut self, now: Instant, effects: &mut impl Effects) -> Option<usize> {
         let now = self.nanos(now);
         for _ in 0..AT_ONCE {

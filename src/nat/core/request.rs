@@ -25,8 +25,8 @@ pub struct ToServer {
 }
 
 impl Core {
-    /// Judges a request. If it may pass, `octets` hold what the server is to receive. The caller then
-    /// sends them and reports with [`request_sent`](Self::request_sent) or
+    /// Judges a request. If it may pass, `octets` hold what the server is to receive. The caller
+    /// then sends them and reports with [`request_sent`](Self::request_sent) or
     /// [`send_failed`](Self::send_failed), before the next call that may close a flow.
     #[inline]
     pub fn request(
@@ -47,8 +47,8 @@ impl Core {
         verdict
     }
 
-    /// The checks of a request, in their order: first those that cost least for a stranger's datagram,
-    /// then who sent it, then the password, and only then what it asks for.
+    /// The checks of a request, in their order: first those that cost least for a stranger's
+    /// datagram, then who sent it, then the password, and only then what it asks for.
     #[inline]
     fn judge_request(
         &mut self,
@@ -64,8 +64,8 @@ impl Core {
         let net = self.rules.table.net(mapping.net);
         let request = Request::parse(octets, self.rules.table.header, net)?;
 
-        // A request of an open flow is judged by its password alone, so that wrong passwords under a
-        // client's address cannot lock the client out.
+        // A request of an open flow is judged by its password alone, so that wrong passwords under
+        // a client's address cannot lock the client out.
         let open = self.flows.of_request(&arrival.endpoints());
         let open = open.filter(|&id| self.settle(id, now, effects));
         if open.is_none() {
@@ -146,9 +146,9 @@ impl Core {
         Ok(credential)
     }
 
-    /// Takes one request from what the flow and the net may send, and returns until when the flow has
-    /// paid then. The flow comes first, so that one that asks too much takes nothing from the others.
-    /// Strangers do not get this far, so they use nothing up.
+    /// Takes one request from what the flow and the net may send, and returns until when the flow
+    /// has paid then. The flow comes first, so that one that asks too much takes nothing from the
+    /// others. Strangers do not get this far, so they use nothing up.
     #[inline]
     fn take_request(
         &self,
@@ -170,8 +170,8 @@ impl Core {
         }
     }
 
-    /// Notes that a request passes with this credential, and exchanges its password for the one that
-    /// the server expects.
+    /// Notes that a request passes with this credential, and exchanges its password for the one
+    /// that the server expects.
     #[inline]
     fn accept(
         &mut self,

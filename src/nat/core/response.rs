@@ -23,8 +23,8 @@ pub struct ToClient {
 }
 
 impl Core {
-    /// Judges what a server sent to an upstream socket. If it may pass, `octets` hold what the client
-    /// is to receive. The caller then sends them and reports with
+    /// Judges what a server sent to an upstream socket. If it may pass, `octets` hold what the
+    /// client is to receive. The caller then sends them and reports with
     /// [`response_sent`](Self::response_sent) or [`send_failed`](Self::send_failed).
     #[inline]
     pub fn response(
@@ -34,7 +34,8 @@ impl Core {
         server: SocketAddr,
         octets: &mut [u8],
     ) -> Result<ToClient, DropReason> {
-        // A flow for which the new rules have no place is closed later; until then it takes nothing.
+        // A flow for which the new rules have no place is closed later; until then it takes
+        // nothing.
         let flow = self.flows.of_response(via, server).filter(|&id| self.take_along(id).is_ok());
         let verdict = match flow {
             Some(id) => self.judge_response(self.nanos(now), id, octets),
@@ -70,8 +71,8 @@ impl Core {
         let net = self.rules.table.net(mapping.net);
         match password {
             Some(password) => {
-                // A16. Any password that the flow asked with is right: the answer may be to an earlier
-                // request than the latest.
+                // A16. Any password that the flow asked with is right: the answer may be to an
+                // earlier request than the latest.
                 let credentials =
                     flow.credentials().map(|index| &net.credentials[usize::from(index)]);
                 let credential = { credentials }

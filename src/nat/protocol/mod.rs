@@ -1,4 +1,4 @@
-//! What a protocol answers the [core](super::Core) about a datagram. Nothing else in the NAT knows
+//! What the [core](super::Core) asks a protocol about a datagram. Nothing else in the NAT reads
 //! octets.
 
 mod pnet;

@@ -1,7 +1,7 @@
-//! What is checked in a datagram, apart from how flows are kept.
+//! P-NET: what its octets say about a request or a response.
 //!
-//! Everything here works on octets alone; who sent them, and whether the password is right, is
-//! asked afterwards in `core`.
+//! These checks need nothing but the octets. Who sent them, and whether the password is right, is
+//! checked in `core`.
 
 use crate::nat::reason::DropReason;
 use crate::nat::table::Net;
@@ -9,20 +9,21 @@ use crate::pnet::wire::{self, Datagram, DatagramError, RouteFormat};
 
 pub(in crate::nat) use crate::pnet::wire::{Header, Password, replace_password};
 
-/// A well-formed request, reduced to what the core decides on.
+/// A well-formed request: what the core needs to know about it.
 #[derive(Debug)]
 pub(in crate::nat) struct Request {
-    /// The last eight octets, when they are a password.
+    /// The password, if the request has one.
     pub password: Option<[u8; 8]>,
-    /// Second destination of the route (PAS 7).
+    /// The second destination of the route (PAS 7).
     node_address: u8,
+    /// Whether a destination is a broadcast address.
     broadcast: bool,
-    /// An answer is to come: the last source is not 0.
+    /// Whether it wants an answer: the last source is not 0.
     pub confirmed: bool,
 }
 
 impl Request {
-    /// Checks a request's structure (PAS 11, A6, A12).
+    /// Checks the structure of a request (PAS 11, A6, A12).
     #[inline]
     pub(in crate::nat) fn parse(
         octets: &[u8],
@@ -34,7 +35,7 @@ impl Request {
         }
         let datagram = parse(octets, header)?;
         let route = datagram.route();
-        // A6: over IP a node is named by IPNetID and node address, and so is the client.
+        // A6: over IP, the route names both the node and the client by IPNetID and node address.
         let Some(node_address) = route.node_address() else {
             return Err(DropReason::RouteFormat);
         };
@@ -42,7 +43,7 @@ impl Request {
         if password.is_none() && !net.allow_without_password {
             return Err(DropReason::PasswordMissing);
         }
-        // R-43; IPNetID 126 and 127 are reserved too, so no destination is left out.
+        // IPNetIDs 126 and 127 are reserved too, so every destination is checked.
         let broadcast = route.destinations().any(|element| element >= wire::BNA);
         let confirmed = route.sources().last() != Some(wire::NCNA);
         Ok(Self { password, node_address, broadcast, confirmed })
@@ -61,7 +62,7 @@ impl Request {
     }
 }
 
-/// Checks a response's structure and returns its password, when it has one (A16).
+/// Checks the structure of a response and returns its password, if it has one (A16).
 #[inline]
 pub(in crate::nat) fn response(
     octets: &[u8],

@@ -1,7 +1,7 @@
-//! What each attacker of SECURITY.md can do to the core, and what he cannot: one who forges where
-//! his datagrams come from, one who holds another password of the net, one who changes ports.
+//! What the attackers of SECURITY.md can do to the core, and what they cannot: one forges source
+//! addresses, one has another password of the net, one changes ports.
 //!
-//! Their datagrams are well-formed, so that nothing but the rule under test can refuse them.
+//! Their datagrams are well formed, so that only the rule under test can refuse them.
 
 use std::net::{SocketAddr, SocketAddrV6};
 use std::time::{Duration, Instant};
@@ -128,7 +128,7 @@ fn an_address_of_a_link_is_for_that_link() {
     assert!(passes(global, "2001:db8::1"));
 }
 
-/// Only who has the password has the kernel look for the way, and only once.
+/// The system is asked for the route to a client only after a right password, and only once.
 #[test]
 fn strangers_have_no_way_looked_for() {
     let mut world = World::new(|_| {});
@@ -172,7 +172,7 @@ fn who_forges_a_nodes_address() {
     assert_eq!(node, Err(DropReason::SourceNotAllowed));
 }
 
-/// Whoever asks last, an answer under the password of an earlier request still comes through.
+/// An answer with the password of an earlier request passes, whoever sent the latest request.
 #[test]
 fn who_holds_another_password_of_the_net() {
     let mut world = World::new(|_| {});
@@ -189,8 +189,8 @@ fn who_holds_another_password_of_the_net() {
     }
 }
 
-/// Limits by flow do not hold who takes a new port for each request; those of the net do, and who
-/// was there before him goes on.
+/// A new port for each request evades the limits of a flow, but not those of the net. Clients that
+/// have a flow are still served.
 #[test]
 fn who_changes_ports_for_each_request() {
     let mut world = World::new(|net| {
@@ -222,7 +222,8 @@ fn who_changes_ports_for_each_request() {
     );
 }
 
-/// Passwords are exchanged while the flow is open: answers in any order, each under its own.
+/// The client changes its password while the flow is open. Answers come in any order, each with its
+/// own.
 #[test]
 fn a_client_that_changes_its_password_loses_no_answer() {
     let device = |net: &mut Net, at: usize, password: &[u8; 8]| {
@@ -248,7 +249,7 @@ fn a_client_that_changes_its_password_loses_no_answer() {
     }
 }
 
-/// Of a flow that goes over to other rules, what is withdrawn opens nothing; the rest is kept.
+/// After a reload, a flow keeps the passwords that were not withdrawn, and no others.
 #[test]
 fn a_reload_keeps_what_is_left_of_a_flows_passwords() {
     let mut world = World::new(|_| {});
@@ -261,7 +262,7 @@ fn a_reload_keeps_what_is_left_of_a_flows_passwords() {
     assert_eq!(world.answer(to, OTHER), Err(DropReason::PasswordMismatch));
 }
 
-/// He guesses under a client's address, from any port; the client opens new flows all the same.
+/// The attacker guesses under a client's address, from any port. The client still opens new flows.
 #[test]
 fn who_guesses_under_the_address_of_a_client() {
     let mut world = World::new(|_| {});
@@ -276,7 +277,7 @@ fn who_guesses_under_the_address_of_a_client() {
     assert!(world.ask(&from(1001), SERVICE).is_ok(), "a new flow of the client");
     assert!(world.ask(&from(2000), SERVICE).is_ok(), "from a port that was guessed from");
 
-    // Nobody else is let off, nor is the client in a day.
+    // That holds for nobody else, and for the client only for a day.
     let stranger = |port: u16| format!("198.51.100.8:{port}");
     let guesses = (1..100)
         .filter(|&port| world.ask(&stranger(port), WRONG) == Err(DropReason::PasswordWrong));
@@ -288,7 +289,7 @@ fn who_guesses_under_the_address_of_a_client() {
     assert_eq!(world.ask(&from(3000), SERVICE), Err(DropReason::Throttled));
 }
 
-/// A reload forgets the clients of a net of which a password is withdrawn, and no others.
+/// A reload forgets the clients of a net if one of its passwords is withdrawn, and no others.
 #[test]
 fn a_withdrawn_password_makes_nobody_known() {
     for (withdrawn, known) in [(false, true), (true, false)] {

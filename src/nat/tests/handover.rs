@@ -1,5 +1,5 @@
-//! What holds while workers go over to a new configuration, one after the other and their flows a
-//! few at a time.
+//! What holds while workers go over to a new configuration: one worker after the other, and each
+//! with a few flows at a time.
 
 use std::collections::BTreeSet;
 use std::net::SocketAddr;
@@ -16,7 +16,7 @@ struct Site {
     max_requests: Option<u32>,
     password: &'static [u8; 8],
     public_port: u16,
-    /// That of another node.
+    /// The public port of another node.
     other_port: u16,
 }
 
@@ -57,7 +57,7 @@ impl Router {
         Self { now, rules, workers }
     }
 
-    /// What each worker is to go over to.
+    /// What each worker has to go over to.
     fn next(&mut self, site: Site, gone: &[ListenerId]) -> Vec<Succession> {
         self.rules = self.rules.followed_by(site.table(), LIMITS);
         let gone: BTreeSet<_> = gone.iter().copied().collect();
@@ -87,7 +87,7 @@ impl Router {
         self.workers[worker].core.response(self.now, to.via, to.server, &mut response(b""))
     }
 
-    /// Whether sockets are about to be closed and are not yet.
+    /// Closes what can be closed. True while other sockets wait for last answers.
     fn close_left(&mut self, worker: usize) -> bool {
         let Worker { core, effects, .. } = &mut self.workers[worker];
         loop {
@@ -104,7 +104,7 @@ impl Router {
         self.workers[worker].flows(self.now)
     }
 
-    /// Goes over to the end, and tells how many flows that closed and in how many steps.
+    /// Lets all flows go over. Returns how many of them were closed, and the number of steps.
     fn settle(&mut self, worker: usize) -> (usize, usize) {
         let worker = &mut self.workers[worker];
         let mut steps = 1;
@@ -197,7 +197,7 @@ fn what_is_withdrawn_is_so_at_once_and_closed_in_its_turn() {
     assert_eq!((counters.net(NetId(0)).flows.get(), router.flows(0)), (1, 1));
 }
 
-/// The socket in a place may be another one than before, for another port.
+/// The socket with the same index may be another one than before, on another port.
 #[test]
 fn a_flow_does_not_move_to_a_socket_that_took_the_place_of_its_own() {
     let mut router = Router::new(1, SITE);
@@ -211,8 +211,8 @@ fn a_flow_does_not_move_to_a_socket_that_took_the_place_of_its_own() {
     assert_eq!(router.flows(0), 1);
 }
 
-/// A public port comes before one of the relay's own: clients are given other ones. But whatever is on
-/// its way to the old one comes in, and later ones find it closed.
+/// A port that becomes a public port is given up as an upstream port, and clients get others.
+/// Answers that are on their way to the old port still pass; later ones find it closed.
 #[test]
 fn the_last_answers_come_in_over_a_port_that_is_wanted() {
     let mut router = Router::new(1, Site { max_flows: 4, ..SITE });
@@ -282,7 +282,7 @@ fn a_reload_on_top_of_another_finishes_it_first() {
     assert_eq!(router.workers[0].effects.closed.len(), 10);
 }
 
-/// What is counted goes on, and the worker's figures are those that others read meanwhile.
+/// Counters go on, and readers of the old ones see the same figures.
 #[test]
 fn counters_go_on() {
     let mut router = Router::new(1, SITE);

@@ -1,4 +1,5 @@
-//! The NAT as a whole: a simulation of everything that happens to it, and scenarios played one by one.
+//! The NAT as a whole: a simulation of everything that happens to it, and scenarios played one by
+//! one.
 
 mod attackers;
 mod fixture;

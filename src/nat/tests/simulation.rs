@@ -1,8 +1,9 @@
-//! A seeded simulation of clients, nodes, time, limits and new configurations around two cores,
-//! with the rules of the relay checked after every step.
+//! A simulation of clients, nodes, time, limits and new configurations around two cores. After
+//! every step, the rules of the relay are checked.
 //!
-//! A failing run prints its seed; `SIMULATION_SEED=… cargo test simulation` replays it. What the
-//! simulation believes about a datagram comes from how it made it, never from the code under test.
+//! A run that fails prints its seed, and `SIMULATION_SEED=… cargo test simulation` replays it. What
+//! the simulation expects of a datagram comes from how it made the datagram, never from the code
+//! under test.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Debug;
@@ -37,19 +38,19 @@ const CLIENTS: [&str; 10] = [
     "203.0.113.2:1000",
 ];
 const PUBLIC: [&str; 2] = ["192.0.2.1", "192.0.2.2"];
-/// An address of the router's own that some nets allow.
+/// One of the router's own addresses, which some nets allow.
 const INSIDE: &str = "198.51.100.254";
 
 /// What the relay must do with a request that the simulation made.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Expect {
-    /// Forward it, or drop it for want of room.
+    /// Forward it, or drop it because a limit is reached.
     Pass,
-    /// Drop it for this reason, or for one that is looked at before.
+    /// Drop it for this reason, or for one that is checked before.
     Drop(DropReason),
 }
 
-/// A request on its way through a node. No index of a table is in it: tables come and go.
+/// A request that waits for an answer. It has no index of a table, because tables change.
 #[derive(Clone)]
 struct Asked {
     worker: usize,
@@ -62,7 +63,7 @@ struct Asked {
     octets: [Vec<u8>; 2],
 }
 
-/// What stays the same about a flow when a new configuration comes.
+/// What of a flow stays the same in a reload.
 #[derive(Clone, Debug, PartialEq)]
 struct Lasting {
     client: SocketAddr,
@@ -73,7 +74,7 @@ struct Lasting {
     upstream_port: u16,
 }
 
-/// What may have a limit of requests.
+/// What can have a limit of requests.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Limited {
     Net(String),
@@ -86,7 +87,7 @@ struct FakeEffects {
     rng: Rng,
     limit: usize,
     ports: BTreeMap<UpstreamId, u16>,
-    /// Ports that a configuration has wanted: they are not to be had any more.
+    /// Ports that a configuration has wanted. No socket gets them any more.
     wanted: BTreeSet<u16>,
     opened_flows: usize,
     closed_flows: usize,
@@ -146,7 +147,7 @@ struct World {
     now: Instant,
     /// The newest.
     rules: Rules,
-    /// Flows at the last look: a lower limit came too late for them.
+    /// Open flows after the last step. A lower limit does not close them.
     open_before: Vec<u64>,
     /// What workers went over from within the last second, and when.
     lately: Vec<(Instant, Rules)>,
@@ -163,12 +164,12 @@ struct World {
     digest: DefaultHasher,
     forwarded: usize,
     delivered: usize,
-    /// Of those, over a port that was wanted for something else.
+    /// Answers among these that came to a port that was wanted for something else.
     last_answers: usize,
     reasons: [usize; DropReason::COUNT],
 }
 
-/// One of the configurations that the operator changes between. It may want a port for the press.
+/// A random configuration. It may want a certain port for the press.
 fn table(rng: &mut Rng, wanted: Option<u16>) -> Table {
     let wide = rng.u32(0..4) > 0;
     let clients = if wide { "198.51.100.0/24" } else { "198.51.100.0/30" };
@@ -526,7 +527,7 @@ impl World {
         }
     }
 
-    /// A node answers one of the requests under way: with its password or without one.
+    /// A node answers one of the requests, with the password or without one.
     fn answer(&mut self) {
         if self.under_way.is_empty() {
             return;
@@ -825,7 +826,7 @@ fn simulation_holds_the_rules_after_every_step() {
     }
 }
 
-/// Or a seed that a failing run prints would be of no use.
+/// Otherwise the seed that a failing run prints would be of no use.
 #[test]
 fn one_seed_is_one_path_in_every_process() {
     let digest = || {

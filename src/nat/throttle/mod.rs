@@ -1,11 +1,12 @@
-//! Who sent wrong passwords lately.
+//! Throttling: who sent too many wrong passwords lately is refused for a while.
 //!
-//! Two token buckets judge a sender: one of its address and port, and a wider one of its address (an
-//! IPv4 address or an IPv6 /64), so that one guesser behind a shared address does not shut out his
-//! neighbours at once. The tables have a fixed size: a stranger with a million addresses cannot make
-//! them grow, and honest senders are not in them, so there is nothing of theirs to push out. To be
-//! pushed out is to be forgiven early, and the lightest offender of its set goes first; a newcomer
-//! always finds a place, or full tables would leave him unobserved.
+//! A sender has two token buckets: one for its address and port, and a larger one for its whole
+//! address (an IPv4 address or an IPv6 /64). So an attacker behind a shared address does not shut
+//! out its neighbours at once.
+//!
+//! The tables have a fixed size, so that a stranger with a million addresses cannot make them grow.
+//! Only senders of wrong passwords are in them. A new one always gets a place, or a full table
+//! would leave it unobserved; the one that owes least loses its place and is forgiven early.
 
 #[cfg(test)]
 mod tests;
@@ -27,24 +28,25 @@ pub use throttled::{ThrottleScope, Throttled};
 const SETS: usize = 512;
 const WAYS: usize = 4;
 
-/// The buckets of those who sent a wrong password.
+/// The buckets of all that sent a wrong password.
 #[derive(Debug)]
 pub(super) struct Throttle {
     hash: SeedableRandomState,
     addresses: Buckets,
     senders: Buckets,
-    /// Whether somebody may owe more than the limits let anybody owe: they are other ones than when
-    /// he guessed.
+    /// Whether a sender may owe more than the limits allow, because they have changed since it
+    /// owes.
     clamp_is_due: bool,
 }
 
-/// Buckets of one scope. Each scope has its own, or the two of one sender could push each other out.
+/// The buckets of one scope. With one table for both scopes, the two buckets of a sender could push
+/// each other out.
 #[derive(Debug)]
 struct Buckets {
     scope: ThrottleScope,
     rate: Gcra,
     sets: Box<[[Offender; WAYS]]>,
-    /// Who is throttled at each place of `sets`. Apart from them, for it is seldom looked at.
+    /// The throttled sender at each place of `sets`. They are apart because they are seldom needed.
     throttled: Box<[[Option<Record>; WAYS]]>,
     throttled_now: usize,
 }
@@ -52,11 +54,11 @@ struct Buckets {
 #[derive(Clone, Copy, Debug, Default)]
 struct Offender {
     key: u64,
-    /// When all its wrong passwords will be forgiven; in the past, the place is free.
+    /// The bucket: when all its wrong passwords will be forgiven. In the past, the place is free.
     forgiven_at: Nanos,
 }
 
-/// [`Throttled`], as the table keeps it.
+/// What becomes a [`Throttled`].
 #[derive(Clone, Copy, Debug)]
 struct Record {
     sender: SocketAddr,
@@ -74,8 +76,8 @@ impl Throttle {
         }
     }
 
-    /// Goes over to other limits. What senders owe stays, as far as they could owe it under the new
-    /// ones: it is kept as a time, and "24h" made "1s" would not let go of them for days.
+    /// Puts other limits in force. What senders owe stays, but no more than the new limits allow:
+    /// otherwise an interval changed from "24h" to "1s" would not forgive them for days.
     pub(super) fn set_limits(&mut self, limits: &Limits) {
         for buckets in [&mut self.addresses, &mut self.senders] {
             buckets.rate = rate(buckets.scope, limits);
@@ -83,8 +85,8 @@ impl Throttle {
         self.clamp_is_due = true;
     }
 
-    /// Whether a password of this sender is looked at: always, where the sender is known. Where it is
-    /// the first that is not, tells so.
+    /// Whether a password of this sender is compared. It always is for a known client. The error says
+    /// whether this is the first refusal.
     #[inline]
     pub(super) fn admits(
         &mut self,
@@ -94,11 +96,11 @@ impl Throttle {
     ) -> Result<(), Option<Throttled>> {
         self.clamp_if_due(now);
         let address_key = self.address_key(sender);
-        let (refusing, key) = if !self.addresses.bear(now, address_key) {
+        let (refusing, key) = if !self.addresses.has_room(now, address_key) {
             (&mut self.addresses, address_key)
         } else {
             let sender_key = self.sender_key(sender);
-            if self.senders.bear(now, sender_key) {
+            if self.senders.has_room(now, sender_key) {
                 return Ok(());
             }
             (&mut self.senders, sender_key)
@@ -121,15 +123,16 @@ impl Throttle {
         }
     }
 
-    /// Tells of those whose wrong passwords are all forgiven; not before, or who goes on guessing
-    /// would be told of each time that one is. To be called about once a second.
+    /// Reports the throttled whose wrong passwords are all forgiven. Not as soon as one is
+    /// forgiven, or a sender that goes on guessing would be reported again and again. To be called
+    /// about once a second.
     pub(super) fn expire(&mut self, now: Nanos, effects: &mut impl Effects) {
         self.clamp_if_due(now);
         self.addresses.expire(now, effects);
         self.senders.expire(now, effects);
     }
 
-    /// Whether nobody is throttled, so that nothing will expire.
+    /// Whether nobody is throttled. Then there is nothing to expire.
     pub(super) fn is_quiet(&self) -> bool {
         self.addresses.throttled_now == 0 && self.senders.throttled_now == 0
     }
@@ -145,7 +148,7 @@ impl Throttle {
         let mut hasher = self.hash.build_hasher();
         match sender.ip().to_canonical() {
             IpAddr::V4(address) => hasher.write_u32(address.to_bits()),
-            // A subscriber owns a /64 at least.
+            // A subscriber has a /64 or more.
             IpAddr::V6(address) => hasher.write_u64((address.to_bits() >> 64) as u64),
         }
         hasher.finish().max(1)
@@ -167,15 +170,15 @@ impl Buckets {
         }
     }
 
-    /// Whether one more wrong password is bearable.
+    /// Whether this bucket has room for one more wrong password.
     #[inline]
-    fn bear(&self, now: Nanos, key: u64) -> bool {
+    fn has_room(&self, now: Nanos, key: u64) -> bool {
         self.sets[set(key)]
             .iter()
             .all(|offender| offender.key != key || self.rate.has_token(offender.forgiven_at, now))
     }
 
-    /// Counts a refused request, and tells when it is the first one.
+    /// Counts a refused request. Returns who is throttled if it is the first one.
     fn note_refusal(&mut self, now: Nanos, key: u64, sender: SocketAddr) -> Option<Throttled> {
         let way = self.sets[set(key)].iter().position(|offender| offender.key == key)?;
         let record = &mut self.throttled[set(key)][way];
@@ -185,10 +188,10 @@ impl Buckets {
         }
         self.throttled_now += 1;
         let begun = record.insert(Record { sender, since: now, refused: 1 });
-        Some(begun.told(self.scope, now))
+        Some(begun.report(self.scope, now))
     }
 
-    /// Adds a wrong password, and tells whose throttling ends because the place is needed.
+    /// Counts a wrong password. Returns whose throttling ends because its place is needed.
     fn charge(&mut self, now: Nanos, key: u64) -> Option<Throttled> {
         let ways = &mut self.sets[set(key)];
         let known = ways.iter().position(|offender| offender.key == key);
@@ -198,7 +201,7 @@ impl Buckets {
         ways[way] = Offender { key, forgiven_at: self.rate.charge(forgiven_at, now) };
         let pushed_out = self.throttled[set(key)][way].take_if(|_| known.is_none())?;
         self.throttled_now -= 1;
-        Some(pushed_out.told(self.scope, now))
+        Some(pushed_out.report(self.scope, now))
     }
 
     fn clamp(&mut self, now: Nanos) {
@@ -215,20 +218,21 @@ impl Buckets {
         for (offender, record) in offenders.zip(self.throttled.as_flattened_mut()) {
             if let Some(ended) = record.take_if(|_| offender.forgiven_at <= now) {
                 self.throttled_now -= 1;
-                effects.throttling_ended(&ended.told(self.scope, now));
+                effects.throttling_ended(&ended.report(self.scope, now));
             }
         }
     }
 }
 
 impl Record {
-    fn told(&self, scope: ThrottleScope, now: Nanos) -> Throttled {
+    fn report(&self, scope: ThrottleScope, now: Nanos) -> Throttled {
         let Self { sender, since, refused } = *self;
         Throttled { scope, sender, age: Duration::from_nanos(now - since), refused }
     }
 }
 
-/// One token is one wrong password. In either scope, an empty bucket is full again after the same time.
+/// One token is one wrong password. In either scope, an empty bucket is full again after the same
+/// time.
 fn rate(scope: ThrottleScope, limits: &Limits) -> Gcra {
     let senders_burst = u64::from(limits.wrong_password_burst);
     let burst = match scope {

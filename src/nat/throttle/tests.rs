@@ -1,4 +1,5 @@
-//! Who is let through and who is told of; what a crowd of strangers can do, and cannot.
+//! Whose passwords are compared, what is reported, and what many strangers together can do and
+//! cannot.
 
 use super::*;
 use crate::nat::Table;
@@ -8,7 +9,7 @@ use std::net::{Ipv4Addr, Ipv6Addr};
 const START: Nanos = 1;
 const SECOND: Nanos = 1_000_000_000;
 
-/// The throttle, and what it had to tell.
+/// The throttle, and what it reported.
 struct Rig {
     throttle: Throttle,
     told: Told,
@@ -55,7 +56,7 @@ impl Rig {
         }
     }
 
-    /// A request with a wrong password; tells whether the password was looked at.
+    /// A request with a wrong password. True if the password was compared.
     fn guess(&mut self, now: Nanos, sender: SocketAddr) -> bool {
         let admitted = self.admits(now, sender);
         if admitted {
@@ -116,7 +117,7 @@ fn an_address_is_throttled_whatever_port_it_takes() {
     assert!(rig.admits(START + SECOND, v4(1, 7)), "forgiven 512 times as fast");
 }
 
-/// In the time in which a sender is forgiven all, so is its address.
+/// All is forgiven to an address in the same time as to a sender.
 #[test]
 fn how_much_an_address_may_send_is_a_setting() {
     let limits = Limits { wrong_password_address_burst: 36, ..limits(3) };
@@ -151,8 +152,8 @@ fn a_million_senders_do_not_push_out_a_heavy_offender() {
     assert!(!rig.admits(START, v4(1, 7)));
 }
 
-/// Later ones who guess up to their limit push earlier ones out. It takes hundreds of wrong
-/// passwords to have one more for oneself, and each of those is a guess already.
+/// Attackers who guess up to their limits push an earlier one out. That takes hundreds of wrong
+/// passwords for one more guess of the earlier one, and each of those is a guess already.
 #[test]
 fn pushing_an_offender_out_costs_more_guesses_than_it_gains() {
     let mut rig = Rig::new();
@@ -168,7 +169,7 @@ fn pushing_an_offender_out_costs_more_guesses_than_it_gains() {
     assert!(spent > 500 * won, "{spent} for {won}");
 }
 
-/// A table full of heavier offenders is no shelter.
+/// Even in a table full of senders that owe more.
 #[test]
 fn a_newcomer_is_observed_however_full_the_table_is() {
     let mut rig = Rig::new();
@@ -181,7 +182,7 @@ fn a_newcomer_is_observed_however_full_the_table_is() {
     }
 }
 
-/// Who goes on guessing is told of once, and once more when he has given up.
+/// A sender that goes on guessing is reported once, and once more after it has stopped.
 #[test]
 fn throttling_is_told_when_it_begins_and_when_all_is_forgiven() {
     let mut rig = Rig::new();
@@ -219,7 +220,8 @@ fn new_limits_hold_at_once_for_what_is_owed() {
     assert!(rig.guess(START, v4(1, 7)));
 }
 
-/// What is owed was counted by the old interval: nobody owes more than he could under the new one.
+/// What a sender owes was counted by the old interval. It owes no more than it could under the new
+/// one.
 #[test]
 fn shorter_limits_let_go_of_who_was_throttled_by_longer_ones() {
     const DAY: Duration = Duration::from_secs(24 * 60 * 60);
@@ -245,7 +247,7 @@ fn shorter_limits_let_go_of_who_was_throttled_by_longer_ones() {
     assert_eq!(rig.told.begun, rig.told.ended);
 }
 
-/// Nobody is told of when nobody was refused, and yet what he owes is clamped.
+/// Also what a sender owes that was not refused, and so was not reported, is clamped.
 #[test]
 fn who_was_not_refused_yet_is_let_go_of_as_well() {
     let mut rig = Rig::new();

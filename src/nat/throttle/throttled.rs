@@ -1,34 +1,34 @@
-//! Who is not listened to for a while, as the log tells of it.
+//! A throttled sender, for the log.
 
 use std::net::SocketAddr;
 use std::time::Duration;
 
 use ipnet::IpNet;
 
-/// What a bucket stands for.
+/// Whose wrong passwords one bucket counts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ThrottleScope {
     /// One address and port.
     Sender,
-    /// All of an IPv4 address or of an IPv6 /64.
+    /// All ports of an IPv4 address or of an IPv6 /64.
     Address,
 }
 
-/// Who is throttled, for the log.
+/// A sender or an address that is throttled.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Throttled {
-    /// The sender alone, or its address.
+    /// Whether the sender alone is throttled, or its whole address.
     pub scope: ThrottleScope,
-    /// Who was refused first.
+    /// The sender that was refused first.
     pub sender: SocketAddr,
-    /// Since when.
+    /// How long it has been throttled.
     pub age: Duration,
-    /// Requests that were refused.
+    /// Requests that were refused so far.
     pub refused: u64,
 }
 
 impl Throttled {
-    /// The IPv4 address or the IPv6 /64 that shares one bucket.
+    /// The sender's IPv4 address or IPv6 /64.
     pub fn address(&self) -> IpNet {
         let address = self.sender.ip().to_canonical();
         let prefix = if address.is_ipv4() { 32 } else { 64 };

@@ -1,7 +1,7 @@
 //! The whole datagram: header, route, control-status, data-field-format, data octets, password.
 //!
-//! Knows where the fields stand, not what they mean. To keep in mind: a `Datagram` accounts for
-//! every octet of its slice, and its password is never shown.
+//! This file knows where the fields are, not what they mean. To keep in mind: every octet of a
+//! `Datagram`'s slice belongs to one of its fields, and its password is never shown.
 
 use std::fmt;
 
@@ -29,18 +29,18 @@ pub enum DatagramError {
     /// Another header than the expected one.
     #[error("the header is not the expected one")]
     BadHeader,
-    /// No route behind the header.
+    /// The octets after the header do not begin with a route.
     #[error("bad route: {0}")]
     BadRoute(#[from] RouteError),
-    /// The octets behind the route are not as many as the data-field-format says, with or without
-    /// a password.
+    /// The octets after the route are not as many as the data-field-format says, with or without a
+    /// password.
     #[error("the octets behind the route do not fit the data-field-format")]
     BadLength,
 }
 
 impl DatagramError {
-    /// Where in `octets`, which [`Datagram::parse`] refused with this error, the fault is: the
-    /// first octet that does not fit, or their number when they end too early.
+    /// The index of the fault in `octets`, which [`Datagram::parse`] refused with this error: that
+    /// of the first wrong octet, or the length if the octets end too early.
     pub fn position(self, octets: &[u8], header: Header) -> usize {
         let end = octets.len();
         match self {
@@ -55,7 +55,7 @@ impl DatagramError {
     }
 }
 
-/// Where the data octets of a datagram should end; `None` when it ends before their number.
+/// Where the data octets should end; `None` if the datagram ends before the data-field-format.
 fn data_end(octets: &[u8]) -> Option<usize> {
     let package = octets.get(Header::LEN..)?;
     let data = Header::LEN + Route::parse(package).ok()?.as_bytes().len() + CONTROL;
@@ -66,10 +66,10 @@ fn data_end(octets: &[u8]) -> Option<usize> {
 /// Why a [`DatagramRepr`] was not emitted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum EmitError {
-    /// More data octets than a datagram holds.
+    /// More data octets than a datagram can have.
     #[error("{0} data octets are too many: a datagram holds at most {MAX_DATA}")]
     TooMuchData(usize),
-    /// The flags reach into the bits of the data size.
+    /// The flags use bits of the data size.
     #[error("data-field flags {0:#04x} use other bits than 7 and 8")]
     BadFlags(u8),
     /// The buffer is smaller than the datagram.
@@ -77,7 +77,7 @@ pub enum EmitError {
     BufferTooSmall(usize),
 }
 
-/// A datagram: a view of checked octets, 8 to 107 of them.
+/// A datagram: a view of 8 to 107 checked octets.
 #[derive(Clone, Copy)]
 pub struct Datagram<'a> {
     header: Header,
@@ -89,8 +89,8 @@ pub struct Datagram<'a> {
 }
 
 impl<'a> Datagram<'a> {
-    /// Checks `octets`, all of them, against the format and the expected `header`: after the data
-    /// octets stands a password or nothing.
+    /// Checks the format of `octets` as a whole, and that they begin with `header`. After the data
+    /// octets there must be a password or nothing.
     #[inline]
     pub fn parse(octets: &'a [u8], header: Header) -> Result<Self, DatagramError> {
         if octets.len() > MAX_DATAGRAM {
@@ -109,7 +109,7 @@ impl<'a> Datagram<'a> {
         Self::parse_behind(header, route, package).ok_or(DatagramError::BadLength)
     }
 
-    /// The fields behind the route; `None` when they do not end where `package` does.
+    /// Reads the fields after the route; `None` if they do not end where `package` ends.
     #[inline]
     fn parse_behind(header: Header, route: Route<'a>, package: &'a [u8]) -> Option<Self> {
         let behind = package.get(route.as_bytes().len()..)?;
@@ -126,13 +126,13 @@ impl<'a> Datagram<'a> {
         self.route
     }
 
-    /// Control-status; its codes are not in the document, so it is opaque.
+    /// Control-status. The standard does not give its codes, so it is opaque.
     #[inline]
     pub fn control_status(&self) -> u8 {
         self.control_status
     }
 
-    /// Data-field-format: bits 1 to 6 the number of data octets, bits 7 and 8 opaque.
+    /// Data-field-format: bits 1 to 6 are the number of data octets, bits 7 and 8 are opaque.
     #[inline]
     pub fn data_field_format(&self) -> u8 {
         self.data_field_format
@@ -144,13 +144,13 @@ impl<'a> Datagram<'a> {
         self.data_octets
     }
 
-    /// The octets of the password, when there is one.
+    /// The octets of the password, if there is one.
     #[inline]
     pub fn password(&self) -> Option<&'a [u8; Password::LEN]> {
         self.password
     }
 
-    /// Its type; `None` when it fits no row of PAS Table 1.
+    /// Its type; `None` if it fits no row of PAS Table 1.
     pub fn dlpdu_type(&self) -> Option<DlpduType> {
         DlpduType::of(self.route, self.data_octets.len())
     }
@@ -171,16 +171,16 @@ pub struct DatagramRepr<'a> {
     pub route: Route<'a>,
     /// Control-status.
     pub control_status: u8,
-    /// Bits 7 and 8 of the data-field-format, in their place; the other bits clear.
+    /// Bits 7 and 8 of the data-field-format at their position. The other bits are clear.
     pub data_field_flags: u8,
     /// The data octets, at most 63.
     pub data_octets: &'a [u8],
-    /// The password, towards a Secure port.
+    /// The password, for a Secure port.
     pub password: Option<Password>,
 }
 
 impl<'a> DatagramRepr<'a> {
-    /// What `datagram` says.
+    /// The fields of `datagram`.
     pub fn parse(datagram: &Datagram<'a>) -> Self {
         Self {
             header: datagram.header,
@@ -192,14 +192,14 @@ impl<'a> DatagramRepr<'a> {
         }
     }
 
-    /// Octets that [`emit`](Self::emit) writes.
+    /// The number of octets that [`emit`](Self::emit) writes.
     pub fn buffer_len(&self) -> usize {
         let password = if self.password.is_some() { Password::LEN } else { 0 };
         Header::LEN + self.route.as_bytes().len() + CONTROL + self.data_octets.len() + password
     }
 
-    /// Writes the datagram to the front of `buffer` and gives the number of its octets. A buffer
-    /// of [`MAX_DATAGRAM`] is always large enough.
+    /// Writes the datagram to the front of `buffer` and returns the number of its octets. A buffer
+    /// of [`MAX_DATAGRAM`] octets is always large enough.
     pub fn emit(&self, buffer: &mut [u8]) -> Result<usize, EmitError> {
         let data_size = self.data_octets.len();
         if data_size > MAX_DATA {
@@ -222,9 +222,8 @@ impl<'a> DatagramRepr<'a> {
     }
 }
 
-/// Puts `password` in the place of the one at the end of `octets`, which must have been parsed as
-/// a [`Datagram`] that has a password: the last 8 octets are overwritten. Fewer octets than that
-/// stay as they are.
+/// Overwrites the last 8 octets with `password`. The octets must have been parsed as a [`Datagram`]
+/// with a password. If there are fewer than 8, they stay as they are.
 #[inline]
 pub fn replace_password(octets: &mut [u8], password: &Password) {
     if let Some(tail) = octets.last_chunk_mut() {

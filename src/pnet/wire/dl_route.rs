@@ -1,8 +1,8 @@
-//! DL-routes, the two lists of addresses that a user of the data link layer sees, and their way
-//! into a P-NET-route (PAS 5.7.2, 5.7.1.5) and out of it (PAS 5.7.3).
+//! DL-routes: the two lists of addresses that a user of the data link layer sees. A P-NET-route is
+//! made from them (PAS 5.7.2, 5.7.1.5), and they are made from a P-NET-route (PAS 5.7.3).
 //!
-//! To keep in mind: the way out drops the first destination, so a DL-route that went through a
-//! P-NET-route is one element shorter, as the route shrinks hop by hop.
+//! To keep in mind: the first destination of a P-NET-route does not come into the DL-route. So the
+//! receiver's DL-route is one element shorter than the sender's, as the route shrinks hop by hop.
 
 use arrayvec::ArrayVec;
 
@@ -12,12 +12,12 @@ use super::{MAX_ELEMENTS, MAX_ROUTE, Route, RouteBuf, RouteFormat};
 /// The elements of a DL-route, 7 bits each.
 pub type Elements = ArrayVec<u8, MAX_ELEMENTS>;
 
-/// A Destination and a Source DL-route.
+/// A Destination DL-route and a Source DL-route.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct DlRoute {
-    /// The way to go, next hop first.
+    /// The way to the destination, the next hop first.
     pub destination: Elements,
-    /// The way back, nearest first.
+    /// The way back to the source, the nearest node first.
     pub source: Elements,
 }
 
@@ -46,14 +46,16 @@ pub enum DlRouteError {
 impl DlRoute {
     /// The DL-route with these elements.
     ///
-    /// Fails when either list is longer than any route; their values and their sum are looked at
-    /// by [`to_route`](Self::to_route).
+    /// Fails if one of the lists is longer than any route. Their values and the sum of their
+    /// lengths are checked by [`to_route`](Self::to_route).
     pub fn new(destination: &[u8], source: &[u8]) -> Result<Self, DlRouteError> {
         Ok(Self { destination: elements(destination)?, source: elements(source)? })
     }
 
-    /// Forming, first step: the sender's node address goes in front of the source route (R-27,
-    /// PAS 5.7.1.5). Over IP, its IPNetID goes in front of that.
+    /// Adds the sender to the front of the source route, the first step of forming a DLPDU: its
+    /// node address (R-27, PAS 5.7.1.5) and, over IP, its IPNetID before that.
+    ///
+    /// Fails if the source route is full.
     pub fn sent_by(
         mut self,
         ip_net_id: Option<u8>,
@@ -66,8 +68,11 @@ impl DlRoute {
         Ok(self)
     }
 
-    /// Request P-NET-route generation (PAS 5.7.2). The document's rules are taken by the letter:
-    /// numbers of elements that none covers have no route.
+    /// Request P-NET-route generation (PAS 5.7.2). It follows the rules of the standard to the
+    /// letter.
+    ///
+    /// Fails if no rule covers these numbers of elements, if an element needs more than 7 bits, and
+    /// if the route would be too long.
     pub fn to_route(&self) -> Result<RouteBuf, DlRouteError> {
         let (destinations, sources) = (self.destination.len(), self.source.len());
         let format = match (destinations, sources) {
@@ -97,8 +102,8 @@ impl DlRoute {
 }
 
 impl Route<'_> {
-    /// DL-route generation (R-26, PAS 5.7.3): the first destination is left out, everything else
-    /// is copied. The document generates nothing from the Immediate format: both lists are empty.
+    /// DL-route generation (R-26, PAS 5.7.3): the first destination is left out, all other elements
+    /// are copied. From the Immediate format the standard generates nothing: both lists are empty.
     pub fn to_dl_route(&self) -> DlRoute {
         if self.format() == RouteFormat::Immediate {
             return DlRoute::default();

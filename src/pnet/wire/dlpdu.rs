@@ -1,7 +1,7 @@
-//! What a received DLPDU is (PAS Table 1) and what its receiver is told (PAS 5.7.1.6).
+//! The type of a received DLPDU (PAS Table 1), and what is indicated to its receiver (PAS 5.7.1.6).
 //!
-//! To keep in mind: only node addresses count as BNA. The remaining-route-length and, in the IP
-//! format, the IPNetID are numbers of another kind.
+//! To keep in mind: only a node address can be the BNA. A remaining-route-length or, in the IP
+//! format, an IPNetID of the same value is not.
 
 use super::route::ELEMENT;
 use super::{BNA, Datagram, DlRoute, NCNA, Route, RouteFormat};
@@ -9,22 +9,23 @@ use super::{BNA, Datagram, DlRoute, NCNA, Route, RouteFormat};
 /// The four types of DLPDU (PAS Table 1).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum DlpduType {
-    /// Its sender waits for an answer.
+    /// The sender waits for an answer.
     Confirmed,
-    /// Its sender does not wait: a response, a broadcast.
+    /// The sender does not wait for an answer: a response or a broadcast.
     Unconfirmed,
-    /// The data of an answer on a half-duplex bus.
+    /// An answer with data on a half-duplex bus.
     ImmediateReply,
-    /// The empty answer on a half-duplex bus.
+    /// An answer without data on a half-duplex bus.
     Acknowledge,
 }
 
 impl DlpduType {
-    /// The type of a DLPDU with this route and this number of data octets; `None` when it fits no
-    /// row of Table 1.
+    /// The type of a DLPDU with this route and this number of data octets; `None` if it fits no row
+    /// of Table 1.
     ///
-    /// Table 1 tells an Acknowledge from an empty Immediate-reply by codes of the control-status
-    /// that the document does not give: every empty one is taken for an Acknowledge.
+    /// In Table 1, codes of the control-status distinguish an Acknowledge from an empty
+    /// Immediate-reply. The standard does not give these codes, so every empty one counts as an
+    /// Acknowledge.
     pub fn of(route: Route<'_>, data_size: usize) -> Option<Self> {
         match route.format() {
             RouteFormat::Immediate if data_size == 0 => Some(Self::Acknowledge),
@@ -40,36 +41,36 @@ impl DlpduType {
     }
 }
 
-/// What the receiver of a Confirmed or Unconfirmed DLPDU is told (R-28, PAS 5.7.1.6).
+/// What is indicated to the receiver of a Confirmed or Unconfirmed DLPDU (R-28, PAS 5.7.1.6).
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Indication<'a> {
     /// Whether the sender waits for an answer.
     pub confirm: bool,
     /// The way on from the receiver, and the way back to the sender.
     pub dl_route: DlRoute,
-    /// Control-status, opaque.
+    /// Control-status. It is opaque.
     pub control_status: u8,
-    /// Data-field-format: bits 1 to 6 the size of the data unit, bits 7 and 8 opaque.
+    /// Data-field-format: bits 1 to 6 are the size of the data unit, bits 7 and 8 are opaque.
     pub data_field_format: u8,
     /// The data unit.
     pub dlsdu: &'a [u8],
 }
 
 impl<'a> Indication<'a> {
-    /// What `datagram` tells its receiver; `None` for the Immediate format, which is no Confirmed
-    /// or Unconfirmed DLPDU.
+    /// The indication of `datagram`; `None` for the Immediate format, which no Confirmed or
+    /// Unconfirmed DLPDU has.
     ///
-    /// Two destinations are gone then: DL-route generation leaves out the first (over IP, the
-    /// IPNetID), this step the second (the receiver's node address). Confirm looks at the
-    /// destinations of the P-NET-route, as Table 1 does: in the DL-route, the node address of a
-    /// Simple or Complex route is missing already.
+    /// Two destinations are left out: the first (over IP, the IPNetID) by DL-route generation, the
+    /// second (the receiver's node address) by this step. `confirm` depends on the destinations of
+    /// the P-NET-route, as in Table 1, because the DL-route does not have the node address of a
+    /// Simple or Complex route any more.
     pub fn parse(datagram: &Datagram<'a>) -> Option<Self> {
         let route = datagram.route();
         if route.format() == RouteFormat::Immediate {
             return None;
         }
         let mut dl_route = route.to_dl_route();
-        dl_route.destination.pop_at(0); // a Simple route has left none to remove
+        dl_route.destination.pop_at(0); // a Simple route has no second one
         Some(Self {
             confirm: !names_broadcast(route) && last_source(route) != NCNA,
             dl_route,
@@ -80,13 +81,13 @@ impl<'a> Indication<'a> {
     }
 }
 
-/// Whether one of the node addresses among the destinations is the BNA.
+/// Whether a node address among the destinations is the BNA.
 fn names_broadcast(route: Route<'_>) -> bool {
     let ip_net_ids = usize::from(route.format() == RouteFormat::Ip);
     route.destinations().skip(ip_net_ids).any(|element| element == BNA)
 }
 
-/// The last source of a route that ends with one: any but the Immediate format.
+/// The last source of a route. Only a route in Immediate format may not end with a source.
 fn last_source(route: Route<'_>) -> u8 {
     route.as_bytes().last().map_or(NCNA, |octet| octet & ELEMENT)
 }
@@ -110,7 +111,7 @@ mod tests {
     const IP_0: &[u8] = &[0x0B, 0x04, 0x05, 0x02, 0x21, 0x8B, 0x83, 0x80];
     const IMMEDIATE: &[u8] = &[0x83, 0x04];
 
-    /// The type of a datagram with this route and so many data octets.
+    /// The type of a datagram with this route and this number of data octets.
     fn dlpdu_type(route: &[u8], data_size: usize) -> Option<DlpduType> {
         with_datagram(route, data_size, |datagram| datagram.dlpdu_type())
     }

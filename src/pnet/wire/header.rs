@@ -3,8 +3,8 @@
 use std::fmt;
 use std::str::FromStr;
 
-/// The package header (PAS 11). The document prints it with seven digits; `02 00 00 00` is the
-/// reading used by default.
+/// The package header (PAS 11). The standard prints it with seven hexadecimal digits. The default
+/// reads it as `02 00 00 00`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Header(pub [u8; Header::LEN]);
 

@@ -1,12 +1,12 @@
-//! P-NET on IP octets: datagram, route, DLPDU.
+//! The octets of P-NET on IP: datagram, route, DLPDU.
 //!
 //! A datagram is a 4-octet header, a P-NET package without checksum (route, control-status,
 //! data-field-format, data octets) and, towards the Secure port, an 8-octet password (PAS 11,
-//! 5.5.1.1). A view ([`Datagram`], [`Route`]) borrows octets that its `parse` has checked; an owned
-//! form ([`DatagramRepr`], [`RouteBuf`], [`DlRoute`]) is built by hand and emitted.
+//! 5.5.1.1). A view ([`Datagram`], [`Route`]) borrows octets that its `parse` has checked. An owned
+//! form ([`DatagramRepr`], [`RouteBuf`], [`DlRoute`]) is built field by field and then emitted.
 //!
-//! The contract: nothing here does I/O, allocates, or panics on any input. Every octet that a
-//! `parse` accepts is given back unchanged by the matching `emit`.
+//! The contract: nothing here does I/O, allocates, or panics on any input. Whatever octets a
+//! `parse` accepts, the matching `emit` writes the same ones.
 //!
 //! PAS Figure 10, a request to node 4 of IP net 11, sent by node 3:
 //!
@@ -51,15 +51,15 @@ pub const MIN_ROUTE: usize = 2;
 pub const MAX_ROUTE: usize = 30;
 /// Elements in the largest route: one of its octets is the remaining-route-length.
 pub const MAX_ELEMENTS: usize = MAX_ROUTE - 1;
-/// Data octets that the six bits of the data-field-format can tell (PAS 5.7.1.5).
+/// The most data octets: the data-field-format has six bits for their number (PAS 5.7.1.5).
 pub const MAX_DATA: usize = 63;
 
-/// Control-status and data-field-format.
+/// Octets of control-status and data-field-format.
 const CONTROL: usize = 2;
 
 /// Octets in the smallest datagram: a Simple or Immediate route, no data, no password.
 pub const MIN_DATAGRAM: usize = Header::LEN + MIN_ROUTE + CONTROL;
 /// Octets in the smallest datagram with a password.
 pub const MIN_SECURE_DATAGRAM: usize = MIN_DATAGRAM + Password::LEN;
-/// Octets in the largest datagram: it has a password.
+/// Octets in the largest datagram, which has a password.
 pub const MAX_DATAGRAM: usize = Header::LEN + MAX_ROUTE + CONTROL + MAX_DATA + Password::LEN;

@@ -5,8 +5,8 @@ use std::fmt;
 use subtle::{Choice, ConstantTimeEq};
 use zeroize::ZeroizeOnDrop;
 
-/// A password: 8 opaque octets (PAS 11). Compared in constant time, wiped when dropped, and never
-/// shown by `Debug`.
+/// A password: 8 opaque octets (PAS 11). It is compared in constant time, wiped from memory when
+/// dropped, and never shown by `Debug`.
 #[derive(Clone, ZeroizeOnDrop)]
 pub struct Password([u8; Password::LEN]);
 
@@ -19,12 +19,12 @@ impl Password {
         Self(octets)
     }
 
-    /// The octets, for the end of a package.
+    /// The octets, as they stand at the end of a package.
     pub const fn octets(&self) -> &[u8; Self::LEN] {
         &self.0
     }
 
-    /// Whether `octets` are this password, found out in a time that does not depend on them.
+    /// Whether `octets` are this password. The time does not depend on them.
     pub fn matches(&self, octets: &[u8; Self::LEN]) -> Choice {
         u64::from_ne_bytes(self.0).ct_eq(&u64::from_ne_bytes(*octets))
     }

@@ -1,7 +1,7 @@
 //! The P-NET-route in front of a P-NET package: the checked view and its owned form.
 //!
-//! What a route means to the sender and the receiver (DL-routes) is in `dl_route`. To keep in
-//! mind: a `Route` exists only for octets that follow one of the five formats, 2 to 30 of them.
+//! What a route means to the sender and the receiver (DL-routes) is in `dl_route`. To keep in mind:
+//! the octets of a `Route` always follow one of the five formats, and are 2 to 30.
 
 use arrayvec::ArrayVec;
 
@@ -9,49 +9,49 @@ use super::MAX_ROUTE;
 
 /// Bit 8 of a route octet, the designator: set for a source, clear for a destination.
 pub(super) const SOURCE: u8 = 0x80;
-/// Bits 1 to 7 of a route octet: the element's value.
+/// Bits 1 to 7 of a route octet: the value of the element.
 pub(super) const ELEMENT: u8 = 0x7F;
 
-/// Where octets stand in a route longer than two octets.
+/// Ranges of octets in a route of more than two octets.
 mod field {
     use std::ops::{RangeFrom, RangeTo};
 
     /// IPNetID and node address, in a route over IP.
     pub(super) const FIRST_TWO: RangeTo<usize> = ..2;
-    /// The elements behind the first two, without a remaining-route-length.
+    /// The elements after the first two, in a format without a remaining-route-length.
     pub(super) const REST: RangeFrom<usize> = 2..;
-    /// The elements behind the remaining-route-length, which is the third octet.
+    /// The elements after the remaining-route-length, which is the third octet.
     pub(super) const REMAINING: RangeFrom<usize> = 3..;
 }
 
-/// Octets that can follow the remaining-route-length.
+/// The most octets after the remaining-route-length.
 const MAX_REMAINING: usize = MAX_ROUTE - field::REMAINING.start;
 
-/// The five formats of a route, told apart by its designators (PAS 5.5.2.1, 5.6.1.1.1).
+/// The five formats of a route. Its designators show which one it has (PAS 5.5.2.1, 5.6.1.1.1).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum RouteFormat {
     /// One destination, one source.
     Simple,
     /// Two destinations, two sources.
     Extended,
-    /// Two or more destinations, a remaining-route-length behind the second, one source.
+    /// Two or more destinations with a remaining-route-length after the second, and one source.
     Complex,
-    /// A source first: the answer of a half-duplex bus.
+    /// The first element is a source: the answer on a half-duplex bus.
     Immediate,
-    /// As [`Complex`](Self::Complex), with two or more sources: that is how UDP tells them apart.
+    /// As [`Complex`](Self::Complex), but with two or more sources: the format that IP uses.
     Ip,
 }
 
 /// Why octets do not begin with a route.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum RouteError {
-    /// The octets end inside the route.
+    /// The octets end before the route does.
     #[error("the octets end inside the route")]
     Truncated,
-    /// The third octet, a destination, is no remaining-route-length.
+    /// The third octet should be a remaining-route-length and has another value.
     #[error("the remaining-route-length is {0}, not 1 to {MAX_REMAINING}")]
     RemainingLength(u8),
-    /// A destination stands behind a source.
+    /// A destination comes after a source.
     #[error("a destination element stands behind a source element")]
     DestinationAfterSource,
     /// All elements are destinations.
@@ -60,8 +60,8 @@ pub enum RouteError {
 }
 
 impl RouteError {
-    /// Where in `octets`, which [`Route::parse`] refused with this error, the fault is: the first
-    /// octet that does not fit, or their number when they end too early.
+    /// The index of the fault in `octets`, which [`Route::parse`] refused with this error: that of
+    /// the first wrong octet, or the length if the octets end too early.
     pub fn position(self, octets: &[u8]) -> usize {
         let end = octets.len();
         let remaining = field::REMAINING.start - 1;
@@ -76,7 +76,7 @@ impl RouteError {
     }
 }
 
-/// A route: a view of checked octets, 2 to 30 of them (PAS 5.5.2.1).
+/// A route: a view of 2 to 30 checked octets (PAS 5.5.2.1).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Route<'a> {
     octets: &'a [u8],
@@ -84,15 +84,15 @@ pub struct Route<'a> {
 }
 
 impl<'a> Route<'a> {
-    /// Takes the route at the front of `octets` and leaves the rest. The designators tell the
-    /// format and with it the end of the route (R-21..R-25).
+    /// Reads the route at the front of `octets`; more octets may follow. The designators show the
+    /// format and so the end of the route.
     ///
-    /// A remaining-route-length is believed whatever the number of elements, also where route
-    /// generation would have left it out.
+    /// A remaining-route-length is accepted with any number of elements, also with so few that
+    /// route generation would have left it out.
     #[inline]
     pub fn parse(octets: &'a [u8]) -> Result<Self, RouteError> {
         match *octets {
-            // PAS is silent about the second octet: it stays what it is.
+            // PAS says nothing about the second octet, so any value is right.
             [first, _, ..] if is_source(first) => take(octets, 2, RouteFormat::Immediate),
             [_, second, ..] if is_source(second) => take(octets, 2, RouteFormat::Simple),
             [_, _, third, ref rest @ ..] if is_source(third) => match *rest {
@@ -108,19 +108,19 @@ impl<'a> Route<'a> {
         }
     }
 
-    /// Which of the five formats it is.
+    /// The format of the route.
     #[inline]
     pub fn format(&self) -> RouteFormat {
         self.format
     }
 
-    /// The octets as they are on the wire.
+    /// The octets of the route, as on the wire.
     #[inline]
     pub fn as_bytes(&self) -> &'a [u8] {
         self.octets
     }
 
-    /// The number of octets behind the remaining-route-length, in the formats that have one.
+    /// The remaining-route-length: the number of octets after it. `None` in a format without one.
     pub fn remaining_route_length(&self) -> Option<u8> {
         match self.format {
             RouteFormat::Complex | RouteFormat::Ip => self.octets.get(2).copied(),
@@ -128,26 +128,27 @@ impl<'a> Route<'a> {
         }
     }
 
-    /// The destination elements, 7 bits each, in order. The remaining-route-length is not one.
+    /// The destination elements in order, 7 bits each. The remaining-route-length is not an
+    /// element.
     #[inline]
     pub fn destinations(&self) -> impl Iterator<Item = u8> + use<'a> {
         self.elements().filter(|&octet| !is_source(octet))
     }
 
-    /// The source elements, 7 bits each, in order.
+    /// The source elements in order, 7 bits each.
     #[inline]
     pub fn sources(&self) -> impl Iterator<Item = u8> + use<'a> {
         self.elements().filter(|&octet| is_source(octet)).map(|octet| octet & ELEMENT)
     }
 
-    /// The IP net that the datagram goes to: the first destination of a route of Extended or IP
+    /// The IPNetID that the datagram goes to: the first destination of a route in Extended or IP
     /// format.
     #[inline]
     pub fn ip_net_id(&self) -> Option<u8> {
         self.ip_destination().map(|[ip_net_id, _]| ip_net_id)
     }
 
-    /// The node that the datagram goes to: the second destination of a route of Extended or IP
+    /// The node that the datagram goes to: the second destination of a route in Extended or IP
     /// format.
     #[inline]
     pub fn node_address(&self) -> Option<u8> {
@@ -162,7 +163,7 @@ impl<'a> Route<'a> {
         }
     }
 
-    /// All elements with their designators, without the remaining-route-length.
+    /// All elements with their designators, but not the remaining-route-length.
     #[inline]
     fn elements(&self) -> impl Iterator<Item = u8> + use<'a> {
         let rest = match self.format {
@@ -173,7 +174,7 @@ impl<'a> Route<'a> {
     }
 }
 
-/// A route that owns its octets; route generation makes it.
+/// A route that owns its octets. Route generation makes it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct RouteBuf {
     octets: ArrayVec<u8, MAX_ROUTE>,
@@ -204,8 +205,8 @@ fn take(octets: &[u8], len: usize, format: RouteFormat) -> Result<Route<'_>, Rou
     Ok(Route { octets, format })
 }
 
-/// Complex or IP, from the `remaining` octets at the front of `rest`: destinations, if any, then
-/// at least one source.
+/// The format, Complex or IP, of a route whose `remaining` last octets are at the front of `rest`:
+/// any number of destinations, then one or more sources.
 #[inline]
 fn format_of_remaining(remaining: u8, rest: &[u8]) -> Result<RouteFormat, RouteError> {
     let count = usize::from(remaining);
@@ -214,7 +215,8 @@ fn format_of_remaining(remaining: u8, rest: &[u8]) -> Result<RouteFormat, RouteE
     }
     let elements = rest.get(..count).ok_or(RouteError::Truncated)?;
 
-    // Without a branch an element: the designators of a stranger's route are not predictable.
+    // There is no branch for each element: an attacker can make designators that no processor
+    // predicts.
     let (mut previous, mut misplaced, mut sources) = (0, 0, 0);
     for &octet in elements {
         misplaced |= previous & !octet;
@@ -239,7 +241,7 @@ mod tests {
         Route::parse(octets)
     }
 
-    /// A route with its format, destinations and sources, followed by octets that are not its own.
+    /// A route with its format, destinations and sources, also with other octets after it.
     #[track_caller]
     fn reads(octets: &[u8], format: RouteFormat, destinations: &[u8], sources: &[u8]) {
         for behind in [&[][..], &[0x00], &[0x83, 0x04, 0xFF]] {

@@ -1,13 +1,13 @@
-//! Property tests of the whole codec: what holds for every datagram and for any octets at all.
+//! Property tests of the whole codec: what holds for every datagram, and for any octets at all.
 //!
-//! The strategies build wire octets by hand, so that the codec is not its own witness.
+//! The strategies build octets by hand, so that the codec does not test itself.
 
 use proptest::collection::vec;
 use proptest::prelude::*;
 
 use super::*;
 
-/// Destinations and sources behind each other, each octet with its designator.
+/// Destinations, then sources, each octet with its designator.
 fn designated(destinations: &[u8], sources: &[u8]) -> Vec<u8> {
     let sources = sources.iter().map(|element| element + 128);
     destinations.iter().copied().chain(sources).collect()
@@ -34,7 +34,7 @@ fn route_octets() -> impl Strategy<Value = (RouteFormat, Vec<u8>)> {
     prop_oneof![simple, immediate, extended, with_length]
 }
 
-/// Any sound datagram with the default header.
+/// Any valid datagram with the default header.
 fn datagram_octets() -> impl Strategy<Value = Vec<u8>> {
     let data = (0u8..4, vec(any::<u8>(), 0..=63));
     let password = prop_oneof![vec(any::<u8>(), 0), vec(any::<u8>(), 8)];
@@ -46,8 +46,8 @@ fn datagram_octets() -> impl Strategy<Value = Vec<u8>> {
     )
 }
 
-/// Octets of a stranger: noise, noise behind a good header, and sound datagrams with a few octets
-/// changed and a few cut off or added.
+/// Octets that an attacker may send: noise, noise after a good header, and valid datagrams with a
+/// few octets changed, cut off or added.
 fn hostile_octets() -> impl Strategy<Value = Vec<u8>> {
     let noise = vec(any::<u8>(), 0..200);
     let behind_header =
@@ -71,7 +71,7 @@ fn emit(datagram: &DatagramRepr<'_>) -> Vec<u8> {
     buffer[..len].to_vec()
 }
 
-/// Everything that can be asked of a route.
+/// Calls every function of a route.
 fn ask_route(route: Route<'_>) {
     assert!((MIN_ROUTE..=MAX_ROUTE).contains(&route.as_bytes().len()));
     assert!(route.destinations().chain(route.sources()).all(|element| element < 128));
@@ -82,7 +82,7 @@ fn ask_route(route: Route<'_>) {
     ask_dl_route(&route.to_dl_route());
 }
 
-/// Everything that can be asked of a DL-route.
+/// Calls every function of a DL-route.
 fn ask_dl_route(dl_route: &DlRoute) {
     let sent = dl_route.clone().sent_by(Some(255), 0);
     for dl_route in [Ok(dl_route.clone()), sent].into_iter().flatten() {

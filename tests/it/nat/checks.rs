@@ -337,7 +337,7 @@ fn random_ports(tested: &Tested<'_>) -> bool {
     ports.len() == 10 && own + next < 3 // by chance
 }
 
-/// RFC 6888 REQ-12.
+/// RFC 6888 section 4.
 fn on_record(tested: &Tested<'_>) -> bool {
     let (client, node) = (tested.client(CLIENT), tested.network.node(4));
     let exchanged = tested.exchange(&client, &node).is_some() && tested.idle_flows_end();
