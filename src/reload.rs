@@ -18,7 +18,7 @@ use tracing::warn;
 use crate::config::{self, Changes, Config, Faults, Warning};
 use crate::datapath::{Reloaded, Router, Stopping};
 use crate::listen::chain;
-use crate::logging::list;
+use crate::logging::{list, log_faults};
 use crate::service;
 use crate::thread::{self, ThreadError};
 
@@ -210,20 +210,6 @@ fn log(outcome: &Result<Reloaded, ReloadError>) {
             tracing::error!(error = NOT_SOUND, "reload failed");
         }
         Err(error) => tracing::error!(error = chain(error), "reload failed"),
-    }
-}
-
-/// Logs one event for each fault.
-pub(crate) fn log_faults(faults: &Faults) {
-    for fault in &faults.0 {
-        tracing::error!(
-            file = %fault.file.display(),
-            line = fault.line,
-            key = fault.key,
-            problem = fault.problem,
-            remedy = fault.remedy,
-            "configuration fault"
-        );
     }
 }
 

@@ -6,6 +6,7 @@ use std::collections::{BTreeMap, HashMap, HashSet};
 use std::hash::Hash;
 use std::net::{IpAddr, SocketAddr};
 
+use super::changes::runs;
 use super::net::{Claim, Draft};
 use super::toml_table::Entry;
 
@@ -33,7 +34,7 @@ fn refuse_shared_names(drafts: &[Draft<'_>]) {
 fn refuse_shared_ports(drafts: &[Draft<'_>]) {
     for ((later, earlier), ports) in shared(drafts, |draft| &draft.public_ports) {
         drafts[later].public_ports.entry.fault(
-            format!("public port {} belongs to {} too", folded(&ports), drafts[earlier].label()),
+            format!("public port {} belongs to {} too", runs(&ports), drafts[earlier].label()),
             "move one of the two to free ports",
         );
     }
@@ -144,15 +145,4 @@ fn shared<'a, T: Copy + Eq + Hash + 'a>(
         }
     }
     shared
-}
-
-/// `40001-40004, 40033`.
-fn folded(ports: &[u16]) -> String {
-    let runs = ports.chunk_by(|port, next| port + 1 == *next);
-    let run = |ports: &[u16]| match ports {
-        [first, .., last] => format!("{first}-{last}"),
-        [port] => port.to_string(),
-        [] => String::new(),
-    };
-    runs.map(run).collect::<Vec<_>>().join(", ")
 }

@@ -1,5 +1,5 @@
-//! An event as one JSON object: time, level, message and fields as they were recorded, and where in
-//! the program it comes from. A list is an array.
+//! An event as one JSON object: time, level, message, the fields as they were recorded, and the module
+//! that it comes from (`target`). A list is an array.
 
 use std::error::Error;
 use std::fmt::{self, Debug};
@@ -15,7 +15,7 @@ use tracing_subscriber::registry::LookupSpan;
 use super::List;
 use crate::harmless::harmless_json;
 
-/// Writes events so.
+/// Writes events in this form.
 pub(super) struct Json;
 
 impl<S, N> FormatEvent<S, N> for Json
@@ -48,7 +48,7 @@ struct Fields<'a, 'w> {
 
 impl Fields<'_, '_> {
     fn add(&mut self, name: &str, value: impl Serialize) {
-        // A number that JSON has no word for, such as NaN, is null.
+        // A number that JSON cannot express, such as NaN, is null.
         let value = serde_json::to_string(&value).unwrap_or_else(|_| "null".to_owned());
         let value = harmless_json(&value);
         self.outcome = self.outcome.and_then(|()| write!(self.line, ",\"{name}\":{value}"));

@@ -1,7 +1,7 @@
-//! The log: events to stderr, one a line.
+//! The log: events on stderr, one a line.
 //!
-//! Whatever becomes of stderr, the relay goes on: lines wait for it and are lost at last, and
-//! [`lines_lost`] counts them.
+//! The relay goes on whatever happens to stderr. Lines wait until it can be written to; when too many
+//! wait, further ones are lost, and [`lines_lost`] counts them.
 
 mod json;
 mod queue;
@@ -22,7 +22,6 @@ use tracing_subscriber::fmt::MakeWriter;
 
 use crate::config::Faults;
 use crate::harmless::harmless_lines;
-use crate::reload::log_faults;
 use crate::thread::ThreadError;
 
 use json::Json;
@@ -38,30 +37,30 @@ pub enum LogFormat {
     /// Text on a terminal, else JSON.
     #[default]
     Auto,
-    /// Lines for people.
+    /// Lines for people to read.
     Text,
     /// One JSON object a line.
     Json,
 }
 
-/// What is written.
+/// Which events are written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 pub enum LogLevel {
-    /// What failed.
+    /// Failures.
     Error,
-    /// And what somebody should look at.
+    /// Failures, and what somebody should look at.
     Warn,
-    /// And the audit log.
+    /// All of that, and the audit log.
     Info,
 }
 
-/// Whether complaints are events too, in JSON.
+/// Whether [`complain`] writes JSON events instead of text.
 static COMPLAINS_IN_JSON: AtomicBool = AtomicBool::new(false);
 
-/// Starts logging to stderr, for the whole process and once only. Times are UTC, as RFC 3339. Who
-/// logs writes; of a `service`, lines wait for the thread that [`in_background`] starts, and
-/// complaints are events wherever events are JSON.
+/// Starts logging to stderr, for the whole process and only once. Times are in UTC, as in RFC 3339.
+/// The thread that logs a line also writes it. In a `service`, lines wait for the thread that
+/// [`in_background`] starts, and complaints are JSON wherever events are.
 pub fn init(format: LogFormat, level: LogLevel, service: bool) {
     let terminal = io::stderr().is_terminal();
     let json = match format {
@@ -91,23 +90,23 @@ pub fn init(format: LogFormat, level: LogLevel, service: bool) {
     }
 }
 
-/// Has lines written by a thread of its own from now on, so that a stderr that nobody reads holds
-/// up nobody. The thread may do what the calling one may.
+/// From now on, a thread of its own writes the lines, so that a stderr that nobody reads blocks no
+/// other thread. The new thread has the privileges of the calling one.
 pub fn in_background() -> Result<(), ThreadError> {
     LOG.start_thread()
 }
 
-/// Waits until what was logged is written, but not long.
+/// Waits until all lines are written, for two seconds at most.
 pub fn flush() {
     LOG.flush(LAST_LINES);
 }
 
-/// Lines that were lost so far: stderr did not take them, or not fast enough.
+/// How many lines were lost so far, because stderr failed or was too slow.
 pub fn lines_lost() -> u64 {
     LOG.lost()
 }
 
-/// Says why a command cannot be carried out.
+/// Tells the user why a command fails.
 pub fn complain(message: impl Display) {
     let message = message.to_string();
     if COMPLAINS_IN_JSON.load(Relaxed) {
@@ -117,7 +116,7 @@ pub fn complain(message: impl Display) {
     }
 }
 
-/// Tells all faults of a configuration that is not used.
+/// Tells the user all faults of a configuration that cannot be used.
 pub fn complain_of_faults(faults: &Faults) {
     if COMPLAINS_IN_JSON.load(Relaxed) {
         log_faults(faults);
@@ -127,13 +126,27 @@ pub fn complain_of_faults(faults: &Faults) {
     }
 }
 
-/// The value of a field that is a list: an array in JSON, and in text the same array.
+/// Logs one event for each fault.
+pub(crate) fn log_faults(faults: &Faults) {
+    for fault in &faults.0 {
+        tracing::error!(
+            file = %fault.file.display(),
+            line = fault.line,
+            key = fault.key,
+            problem = fault.problem,
+            remedy = fault.remedy,
+            "configuration fault"
+        );
+    }
+}
+
+/// A list as the value of a field: an array in JSON, and the same array in text.
 pub(crate) fn list<T: ToString>(items: impl IntoIterator<Item = T>) -> Box<dyn Error> {
     Box::new(List(items.into_iter().map(|item| item.to_string()).collect()))
 }
 
-/// A list on its way through a field of an event. Those have no lists, but errors, which keep their
-/// type.
+/// A list in a field of an event. `tracing` has no fields for lists, but it hands on errors with their
+/// type, so a list travels as an error.
 struct List(Vec<String>);
 
 impl Error for List {}
@@ -150,7 +163,7 @@ impl Display for List {
     }
 }
 
-/// A panic is one line of the log, and the last.
+/// Writes a panic as one line of the log, the last one.
 fn tell_panic(panic: &PanicHookInfo<'_>) {
     let thread = thread::current();
     let thread = thread.name().unwrap_or("unnamed");
@@ -163,7 +176,7 @@ fn tell_panic(panic: &PanicHookInfo<'_>) {
     flush();
 }
 
-/// Takes events to the log.
+/// Makes a [`Pen`] for each event.
 struct Pens;
 
 impl<'a> MakeWriter<'a> for Pens {

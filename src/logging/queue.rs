@@ -1,7 +1,7 @@
 //! Lines on their way to stderr, and the thread that writes them.
 //!
-//! Whoever logs waits for nobody. A line is written whole, or counted as lost; of one that was broken
-//! off, the rest comes first as soon as there is room again.
+//! A thread that logs never waits. A line is either written whole or counted as lost. When stderr takes
+//! only a part of a line, the rest is written first as soon as there is room again.
 
 use std::collections::VecDeque;
 use std::fs::File;
@@ -18,14 +18,14 @@ use nix::unistd::write;
 
 use crate::thread::{self, ThreadError};
 
-/// Lines that wait for a slow stderr; more are lost.
+/// How many lines wait for a slow stderr; further ones are lost.
 const WAITING_LINES: usize = 16 * 1024;
-/// How often it is told at most that lines were lost, and how long until it is tried again.
+/// How often lost lines are reported at most, and when a report that was lost itself is repeated.
 const REPORT_INTERVAL: Duration = Duration::from_secs(5);
-/// How soon a stderr that does not wait by itself is tried again.
+/// How soon a non-blocking stderr is tried again.
 const RETRY: Duration = Duration::from_millis(20);
 
-/// The target of the event that tells of lost lines.
+/// The target of the event that reports lost lines.
 pub(super) const LOST: &str = "pnet_nat::logging::lost";
 
 /// The log of the process.
@@ -39,7 +39,7 @@ pub(super) static LOG: Queue = Queue {
     lost: AtomicU64::new(0),
 };
 
-/// Lines that wait, and who writes them.
+/// The waiting lines, and who writes them.
 pub(super) struct Queue {
     state: Mutex<State>,
     changed: Condvar,
@@ -48,15 +48,16 @@ pub(super) struct Queue {
 
 struct State {
     waiting: VecDeque<Line>,
-    /// The thread has one in its hands.
+    /// The thread is writing a line that it has taken out.
     is_writing: bool,
     writer: Writer,
 }
 
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Writer {
+    /// The thread that logs.
     WhoeverLogs,
-    /// There will be a thread.
+    /// Nobody yet: a thread will be started.
     Nobody,
     Thread,
 }
@@ -91,8 +92,8 @@ impl Queue {
         }
     }
 
-    /// Waits until all lines are written or lost, for so long at most. Where there is no thread yet,
-    /// one is started; where none can be had, the caller writes.
+    /// Waits until all lines are written or lost, but no longer than `time`. Starts the thread if there
+    /// is none yet; if it cannot be started, the caller writes the lines.
     pub(super) fn flush(&'static self, time: Duration) {
         let mut state = self.lock();
         if state.writer == Writer::Nobody && !state.waiting.is_empty() {
@@ -130,7 +131,7 @@ impl Queue {
         }
     }
 
-    /// The next line; none when nothing waits and it is time for a report.
+    /// The next line; none when no line waits and a report is due.
     fn next(&self, report: Option<Instant>) -> Option<Line> {
         let mut state = self.lock();
         loop {
@@ -159,16 +160,16 @@ impl Queue {
     }
 }
 
-/// Standard error, and what is still to be written of a line that was broken off.
+/// Standard error, and the rest of a line that it took only in part.
 #[derive(Default)]
 struct Stderr {
     rest: Vec<u8>,
-    /// How long the file was then.
+    /// The length of the file after the last write.
     length: u64,
 }
 
 impl Stderr {
-    /// Writes a line, after what is left of the one before it; false when nothing of it is written.
+    /// Writes the rest of the line before, then this line; false when nothing of this one was written.
     fn write(&mut self, line: &[u8]) -> bool {
         let written = write_what_can_be(&self.rest);
         self.rest.drain(..written);
@@ -183,8 +184,8 @@ impl Stderr {
         written > 0
     }
 
-    /// Gives up a line that was broken off when somebody has emptied the file since, with its
-    /// beginning; tells whether there is one.
+    /// Drops the rest of a line when somebody has emptied the file since, so that the line has lost its
+    /// beginning. Returns whether a rest was dropped.
     fn gives_up(&mut self) -> bool {
         let gives_up = !self.rest.is_empty() && length() < self.length;
         if gives_up {
@@ -194,14 +195,14 @@ impl Stderr {
     }
 }
 
-/// How long the file is that standard error is; 0 where it is another thing.
+/// The length of the file that standard error is; 0 when it is not a file.
 fn length() -> u64 {
     let file = io::stderr().as_fd().try_clone_to_owned().map(File::from);
     file.and_then(|file| file.metadata()).map_or(0, |file| file.len())
 }
 
-/// Tells how much was written before an error. Not through the standard library's stderr: its lock
-/// would be held for as long as nobody reads.
+/// Writes until an error and returns how many octets were written. Does not use the standard library's
+/// stderr, whose lock would be held as long as nobody reads.
 fn write_what_can_be(octets: &[u8]) -> usize {
     let mut written = 0;
     while written < octets.len() {
@@ -219,7 +220,7 @@ fn write_what_can_be(octets: &[u8]) -> usize {
 /// One line, or a text of several.
 pub(super) struct Line {
     octets: Vec<u8>,
-    /// It tells of lost lines, and is no loss itself: they will be told of again.
+    /// It reports lost lines. When it is lost itself it is not counted: the report is repeated.
     is_report: bool,
 }
 
@@ -229,7 +230,7 @@ impl Line {
     }
 }
 
-/// Puts events, each of which comes as a whole, into the log.
+/// Puts events into the log. Each event arrives in one write.
 pub(super) struct Pen {
     pub(super) is_report: bool,
 }

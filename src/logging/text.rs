@@ -1,5 +1,5 @@
-//! The fields of an event as text. What is in their values may come from outside, so it is made
-//! harmless: a line stays one, and a terminal shows it and does nothing else.
+//! The fields of an event as text. Their values may come from outside, so control characters in them are
+//! escaped: an event stays one line, and a terminal executes nothing.
 
 use tracing_subscriber::field::MakeExt;
 use tracing_subscriber::fmt::FormatFields;
@@ -7,7 +7,7 @@ use tracing_subscriber::fmt::format::debug_fn;
 
 use crate::harmless::harmless;
 
-/// Writes fields so: the message, then `name=value`, with a blank between each.
+/// Writes the message, then `name=value` for each field, separated by spaces.
 pub(super) fn fields() -> impl for<'a> FormatFields<'a> + Send + Sync + 'static {
     debug_fn(|line, field, value| {
         let value = harmless(&format!("{value:?}"));

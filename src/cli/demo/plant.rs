@@ -1,8 +1,7 @@
 //! The demo's plant: simulated server nodes on loopback, and the relay's configuration in front of
 //! them. Every address and port is chosen so that it is free.
 
-use std::fs::File;
-use std::io::{self, Read};
+use std::io;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr, UdpSocket};
 use std::sync::Arc;
 use std::time::Duration;
@@ -164,8 +163,6 @@ fn free_start_port() -> anyhow::Result<u16> {
 
 fn random_password() -> anyhow::Result<Password> {
     let mut octets = [0; Password::LEN];
-    File::open("/dev/urandom")
-        .and_then(|mut random| random.read_exact(&mut octets))
-        .context("/dev/urandom cannot be read")?;
+    getrandom::fill(&mut octets).context("the system has no random numbers")?;
     Ok(Password::new(octets))
 }
