@@ -1,7 +1,7 @@
-//! Addresses and networks as people write them, and what to write instead of those that are none.
+//! Addresses and networks in the file, and the remedy where a text is neither.
 //!
-//! Names are never looked up: what a name leads to changes, and the relay asks nobody. An IPv4 address
-//! in IPv6 clothes (`::ffff:192.0.2.1`) is the IPv4 address, everywhere.
+//! Host names are never resolved: the addresses of a name change, and the relay asks no name server. An
+//! IPv4 address that is mapped into IPv6 (`::ffff:192.0.2.1`) is read as the IPv4 address.
 
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
 
@@ -29,12 +29,14 @@ pub(super) fn listener(entry: &Entry<'_>) -> Option<IpAddr> {
     };
     let address = address.to_canonical();
     if is_link_local(address) {
-        entry.fault(format!("{address} is the same on every interface"), LINK_LOCAL_LISTENER);
+        entry.fault(
+            format!("{address} is link-local: the same on every interface"),
+            LINK_LOCAL_LISTENER,
+        );
         return None;
     }
     if !address.is_unspecified() && !is_a_host(address) {
-        let kind =
-            if address.is_multicast() { "a multicast group" } else { "no address of a host" };
+        let kind = if address.is_multicast() { "a multicast group" } else { "not a host address" };
         entry.fault(format!("{address} is {kind}"), "name an address of this host, or \"0.0.0.0\"");
         return None;
     }
@@ -42,7 +44,7 @@ pub(super) fn listener(entry: &Entry<'_>) -> Option<IpAddr> {
 }
 
 const LINK_LOCAL_LISTENER: &str =
-    "name another address of the interface, or \"::\", which hears link-local ones too";
+    "name another address of the interface, or \"::\", which includes link-local addresses";
 
 /// An address and a port.
 pub(super) fn endpoint(entry: &Entry<'_>) -> Option<SocketAddr> {
@@ -58,7 +60,7 @@ pub(super) fn endpoint(entry: &Entry<'_>) -> Option<SocketAddr> {
         ("the port is missing", format!("write it like \"{example}\""))
     } else if text.contains('%') {
         let remedy =
-            "the zone is the interface's number, like \"[fe80::7%2]:34379\"; `ip link` tells it";
+            "the zone is the interface's number, like \"[fe80::7%2]:34379\"; `ip link` shows it";
         ("not an address and port", remedy.into())
     } else {
         ("not an address and port", not_a_name(text) + &entry.like())
@@ -67,7 +69,7 @@ pub(super) fn endpoint(entry: &Entry<'_>) -> Option<SocketAddr> {
     None
 }
 
-/// A network, or one address.
+/// A network, or a single address.
 pub(super) fn network(entry: &Entry<'_>) -> Option<IpNet> {
     let text = entry.text()?;
     let parsed = match text.parse::<IpAddr>() {
@@ -120,7 +122,7 @@ fn is_everywhere(text: &str) -> bool {
     EVERYWHERE.iter().any(|word| text.trim().eq_ignore_ascii_case(word))
 }
 
-/// What to say to a text that may be meant as a name.
+/// The beginning of a remedy for a text that may be meant as a host name.
 fn not_a_name(text: &str) -> String {
     let is_name = text.chars().any(|c| c.is_ascii_alphabetic()) && !text.contains("::");
     if is_name { "names are not looked up; ".into() } else { String::new() }
@@ -133,7 +135,7 @@ pub(super) fn is_a_host(address: IpAddr) -> bool {
     !(reserved || address.is_unspecified() || address.is_multicast())
 }
 
-/// Whether an address means nothing without its interface.
+/// Whether an address needs its interface to be unambiguous.
 pub(super) fn is_link_local(address: IpAddr) -> bool {
     matches!(address, IpAddr::V6(v6) if Ipv6Addr::is_unicast_link_local(&v6))
 }

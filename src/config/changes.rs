@@ -1,4 +1,4 @@
-//! What a new configuration changes, in names that people know from the file.
+//! What a new configuration changes, in the names of the file.
 
 use std::collections::BTreeMap;
 use std::fmt::{self, Display, Formatter};
@@ -18,19 +18,19 @@ pub struct Changes {
     pub nets_added: Vec<String>,
     /// By name.
     pub nets_removed: Vec<String>,
-    /// Nets of which a rule is another: who may come, how long, how many, or how strictly.
+    /// Nets with a changed rule: clients, timeout, limits, or what is required of a password.
     pub nets_changed: Vec<String>,
     /// Nodes, by net: "section-1: 1-4, 33".
     pub mappings_added: Vec<String>,
-    /// Likewise.
+    /// Nodes, by net.
     pub mappings_removed: Vec<String>,
-    /// Likewise: those with another public port or server.
+    /// Nodes with another public port or server, by net.
     pub mappings_changed: Vec<String>,
     /// By net and name: "section-1: service".
     pub credentials_added: Vec<String>,
-    /// Likewise.
+    /// By net and name.
     pub credentials_withdrawn: Vec<String>,
-    /// Likewise: those with another password, towards clients or servers.
+    /// Those with another password, towards clients or servers, by net and name.
     pub credentials_changed: Vec<String>,
 }
 
@@ -75,7 +75,7 @@ impl Changes {
     }
 }
 
-/// Keys that only one of two maps has, or both with other values.
+/// Keys that only one of two maps has, and keys with different values.
 struct Difference<K> {
     added: Vec<K>,
     removed: Vec<K>,
@@ -119,7 +119,7 @@ fn credentials(table: &Table) -> BTreeMap<(&str, &str), &Credential> {
 }
 
 fn same_rules(old: &&Net, new: &&Net) -> bool {
-    // Credentials are told of one by one, and so is what the kind says, through the mappings.
+    // Credentials are compared one by one, and what the kind says is compared through the mappings.
     let Net {
         name: _,
         kind: _,
@@ -164,7 +164,7 @@ fn settings(old: &Config, new: &Config) -> Vec<&'static str> {
     changed.into_iter().filter_map(|(key, changed)| changed.then_some(key)).collect()
 }
 
-/// Nodes of each net, runs of them as the file has them.
+/// A text for each net: its name and its nodes, written as in the file.
 fn by_net(nodes: &[(&str, u8)]) -> Vec<String> {
     let of_net = |nodes: &[(&str, u8)]| {
         let numbers: Vec<_> = nodes.iter().map(|(_, node)| u16::from(*node)).collect();
@@ -173,7 +173,7 @@ fn by_net(nodes: &[(&str, u8)]) -> Vec<String> {
     nodes.chunk_by(|(net, _), (next, _)| net == next).map(of_net).collect()
 }
 
-/// Rising numbers as runs: "1-4, 33".
+/// Ascending numbers as runs: "1-4, 33".
 pub(crate) fn runs(numbers: &[u16]) -> String {
     let runs = numbers.chunk_by(|number, next| number.checked_add(1) == Some(*next));
     let runs = runs.map(|run| match run {

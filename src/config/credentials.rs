@@ -9,7 +9,7 @@ use super::net::name;
 use super::secret::{device_password_file, make_password, password_file, path_of};
 use super::toml_table::{Entry, Section};
 
-/// What stands at `password`: at least one, unless the net allows requests without.
+/// The credentials of a net: at least one, unless it allows requests without a password.
 pub(super) fn credentials(entry: &Entry<'_>, allow_without_password: bool) -> Vec<Credential> {
     let Some(sections) = entry.sections() else { return Vec::new() };
     if sections.is_empty() && !allow_without_password {

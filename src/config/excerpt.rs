@@ -1,11 +1,11 @@
-//! Lines of the configuration's text: the number of one, and how one is shown.
+//! The lines of the configuration's text: their numbers, and how one is shown below a fault.
 //!
-//! The beginnings of all lines are found once, so that each key costs a search among them and not
-//! a walk through the text.
+//! The beginnings of all lines are found once. So the line of each key takes a binary search and not a
+//! walk through the text.
 
 use crate::harmless::is_harmful;
 
-/// A line is shown so far to either side of the place that matters.
+/// How many characters of a line are shown on each side of the fault.
 const MOST_BESIDE: usize = 60;
 
 /// A text and where its lines begin.
@@ -37,7 +37,7 @@ impl<'a> Lines<'a> {
         self.text[from..to.copied().unwrap_or(self.text.len())].trim_end_matches(['\n', '\r'])
     }
 
-    /// The octets of the offset's line that stand before it.
+    /// How many octets of its line stand before the offset.
     fn column(&self, offset: usize) -> usize {
         let line = self.line(offset);
         let (beginning, text) = (self.beginnings[line - 1], self.text(line));
@@ -45,10 +45,10 @@ impl<'a> Lines<'a> {
         (0..=column).rev().find(|&at| text.is_char_boundary(at)).unwrap_or(0)
     }
 
-    /// The line of an offset, and below it a sign that points there.
+    /// The line of an offset, and below it a `^` that points at the offset.
     pub(super) fn excerpt(&self, offset: usize) -> String {
         let (before, after) = self.text(self.line(offset)).split_at(self.column(offset));
-        // What would move the cursor takes one place, as every other character does.
+        // A character that would move the cursor is replaced, so that each one takes one column.
         let shown = |c: char| match c {
             '\t' => ' ',
             c if is_harmful(c) => '\u{fffd}',

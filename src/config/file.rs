@@ -1,7 +1,7 @@
-//! Opening what the configuration consists of: regular files alone, without ever waiting for one.
+//! Opens the files of the configuration: only regular ones, and without waiting.
 //!
-//! A name may lead to anything, also at a reload: a pipe that nobody writes into must not hold up a
-//! password that is withdrawn.
+//! A path may lead to anything, also at a reload. Opening a pipe that nobody writes to must not delay the
+//! withdrawal of a password.
 
 use std::fs::{self, File, Metadata, OpenOptions};
 use std::io::{self, Read};
@@ -19,11 +19,11 @@ pub(crate) enum FileError {
     #[error("is {0}, not a regular file")]
     NotRegular(&'static str),
     #[error(
-        "is an old file, which is in no folder any more: it was replaced where it comes from, and \
-         what is mounted here stayed the old one; nothing has changed"
+        "is an old file that is in no folder any more: it was replaced at its source, but the file \
+         mounted here is still the old one; nothing has changed"
     )]
     Replaced,
-    #[error("cannot be read: its mode permits it, but not the relay's confinement")]
+    #[error("cannot be read: its mode allows it, but the relay's confinement does not")]
     Confined,
 }
 
@@ -39,30 +39,30 @@ impl FileError {
             Self::Io(_) => "name a file that is there and can be read".into(),
             Self::NotRegular(_) => "name a file".into(),
             Self::Replaced => {
-                "mount the folder that the file is in, and not the file alone; for now, restart"
+                "mount the folder that the file is in instead of the file itself; for now, restart"
                     .into()
             }
-            Self::Confined => "restart the relay; it reads only the folders in which its files were \
-                               when it started, wherever links lead now. To replace files without a \
-                               restart, keep the files in one real folder and rename new ones into it"
+            Self::Confined => "restart the relay; it can read only the folders that its files were in \
+                               when it started, and links lead elsewhere now. To replace files without a \
+                               restart, keep them in one real folder and rename new ones into it"
                 .into(),
         }
     }
 }
 
-/// How the user that asks comes to own the file.
+/// The remedy when another user owns the file.
 fn owner(path: &Path) -> String {
     let (user, file) = (geteuid(), shell_quoted(path));
     if is_read_only(path) {
-        return format!("mount it for the user that reads it: mode=0400,uid={user}");
+        return format!("mount it for the user who reads it: mode=0400,uid={user}");
     }
     format!(
-        "let user {user}, who reads it, own it, and enter its folders: \
+        "give it to user {user}, who reads it, and let that user enter its folders: \
          `chown {user} -- {file} && chmod 600 -- {file}`"
     )
 }
 
-/// Whether what this path leads to is mounted so that no mode of it can be changed.
+/// Whether the path is on a read-only mount, so that its mode cannot be changed.
 pub(super) fn is_read_only(path: &Path) -> bool {
     statvfs(path).is_ok_and(|mount| mount.flags().contains(FsFlags::ST_RDONLY))
 }
@@ -73,13 +73,13 @@ pub(super) fn open(path: &Path) -> Result<(File, Metadata), FileError> {
     if metadata.nlink() > 0 {
         return Ok((file, metadata));
     }
-    // It may just have been replaced, between being opened and being looked at.
+    // It may have been replaced between the two calls.
     let again = open_once(path)?;
     if again.1.nlink() == 0 { Err(FileError::Replaced) } else { Ok(again) }
 }
 
 fn open_once(path: &Path) -> Result<(File, Metadata), FileError> {
-    // Looked at before, since opening some devices has effects; and after, since it may be another.
+    // Checked before, since opening some devices has effects; and after, since it may be another file.
     let before = fs::metadata(path)?;
     regular(&before)?;
     // Without O_NONBLOCK, opening a named pipe would wait for a writer.
@@ -116,7 +116,7 @@ fn may_read(metadata: &Metadata) -> bool {
     metadata.mode() & bit != 0
 }
 
-/// Reads until the buffer is full or the file at its end.
+/// Reads until the buffer is full or the file ends.
 pub(super) fn fill(reader: &mut impl Read, buffer: &mut [u8]) -> io::Result<usize> {
     let mut filled = 0;
     while filled < buffer.len() {
@@ -130,7 +130,7 @@ pub(super) fn fill(reader: &mut impl Read, buffer: &mut [u8]) -> io::Result<usiz
     Ok(filled)
 }
 
-/// A path as a shell takes it. With a control character in it, by the `$'…'` of bash and others.
+/// A path quoted for a shell. A path with control characters needs the `$'…'` of bash and others.
 pub(super) fn shell_quoted(path: &Path) -> String {
     let text = path.to_string_lossy();
     let plain = |c: char| c.is_ascii_alphanumeric() || "/._-+,:@%".contains(c);

@@ -1,24 +1,24 @@
-//! Passwords that a guesser tries early: a warning, for the standard leaves the choice to the plant.
+//! Passwords that are easily guessed. Only a warning: the standard leaves the choice to the plant.
 
 use crate::pnet::wire::Password;
 
-/// What many passwords are made of, in small letters.
+/// Words that many passwords contain, in lower case.
 const WORDS: [&[u8]; 7] = [b"pass", b"pnet", b"admin", b"guest", b"qwert", b"welcome", b"letmein"];
-/// A random password hardly ever has fewer different octets than this.
+/// A random password almost never has fewer different octets than this.
 const FEW_OCTETS: usize = 4;
 
-/// Why a password is easily guessed, if it is; without a word of the password itself.
+/// Why a password is easily guessed, if it is. The text contains nothing of the password.
 pub(super) fn weakness(password: &Password) -> Option<&'static str> {
     let octets = password.octets();
     let all = |kind: fn(&u8) -> bool| octets.iter().all(kind);
     if all(u8::is_ascii_digit) {
         Some("it is a number")
     } else if all(u8::is_ascii_lowercase) || all(u8::is_ascii_uppercase) {
-        Some("it is of letters of one case")
+        Some("it has only letters of one case")
     } else if different(octets) < FEW_OCTETS {
-        Some("few octets repeat")
-    } else if WORDS.iter().any(|word| holds(octets, word)) {
-        Some("it holds a word that many passwords hold")
+        Some("it repeats a few octets")
+    } else if WORDS.iter().any(|word| contains(octets, word)) {
+        Some("it contains a word that many passwords contain")
     } else {
         None
     }
@@ -28,8 +28,8 @@ fn different(octets: &[u8]) -> usize {
     (0..octets.len()).filter(|&at| !octets[..at].contains(&octets[at])).count()
 }
 
-/// Whether the word is in there, in whatever case and with the usual digits and signs for letters.
-fn holds(octets: &[u8], word: &[u8]) -> bool {
+/// Whether the password contains the word, in any case and with the usual digits and signs for letters.
+fn contains(octets: &[u8], word: &[u8]) -> bool {
     let is_letter = |(octet, letter): (&u8, &u8)| match octet {
         b'0' => *letter == b'o',
         b'1' | b'!' => matches!(letter, b'i' | b'l'),
@@ -73,8 +73,8 @@ mod tests {
         }
     }
 
-    /// Be they of any octets, or as the README makes them: of those, one in 700 is of letters of one
-    /// case, by chance.
+    /// Both random octets and passwords made as the README says. One in 700 of the latter has only
+    /// letters of one case by chance.
     #[test]
     fn what_is_random_is_not() {
         const BASE64: &[u8] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";

@@ -1,8 +1,8 @@
-//! What this host makes of the servers' addresses: whether one is its own, and which way datagrams to
-//! one would leave.
+//! How this host reaches the servers: whether an address is the host's own, and from which address
+//! datagrams to it would leave.
 //!
-//! A UDP socket that is connected sends nothing, yet has the source address that the kernel would
-//! use: the confinement leaves no other way to ask. Loopback is never asked for.
+//! To find out, a UDP socket is connected. That sends nothing, but gives the socket the source address
+//! that the kernel would use. The confinement allows no other way to ask. Loopback is never asked about.
 
 use std::io;
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, UdpSocket};
@@ -11,9 +11,9 @@ use crate::nat::Table;
 
 use super::net::Draft;
 
-/// Which address datagrams to another would come from.
+/// The routes of a host.
 pub(super) trait Host {
-    /// None when nothing is known of the host.
+    /// The source address of datagrams to `to`; none when nothing is known of the host.
     fn source_towards(&self, to: SocketAddr) -> Option<io::Result<IpAddr>>;
 }
 
@@ -36,7 +36,7 @@ impl Host for ThisHost {
     }
 }
 
-/// A host of which nothing is known: a text is judged by itself.
+/// A host of which nothing is known: only the text is checked.
 #[derive(Debug)]
 pub(super) struct Unknown;
 
@@ -46,9 +46,9 @@ impl Host for Unknown {
     }
 }
 
-/// Refuses servers that are the relay itself, and those that are reached by the Internet side; warns of
-/// those to which no interface leads. Servers of the table in force are left alone: what became of
-/// their way must not hold up a password that is withdrawn.
+/// Refuses servers that are the relay itself, and servers that are reached by the Internet side. Warns of
+/// servers that no interface leads to. Servers of the table in force are not checked: a change of their
+/// route must not delay the withdrawal of a password.
 pub(super) fn check(
     drafts: &[Draft<'_>],
     listen: &[IpAddr],
@@ -62,7 +62,7 @@ pub(super) fn check(
         drafts.iter().flat_map(|draft| draft.public_ports.values.iter().copied()).collect();
     for draft in drafts {
         let mut new = draft.servers.values.iter().filter(|server| !is_served(server)).peekable();
-        // All servers of a net are in one subnet, and have one way.
+        // All servers of a net are in one subnet, and so have one route.
         let Some(first) = new.peek().copied().filter(|server| !server.ip().is_loopback()) else {
             continue;
         };
@@ -75,21 +75,21 @@ pub(super) fn check(
         if let Some(own) = new.find(is_own) {
             draft.servers.entry.fault(
                 format!("server {own} is this router itself, on a public port"),
-                "name the server itself, or datagrams go round in a loop",
+                "enter the server's own address; datagrams to this one would loop",
             );
         } else {
-            check_way(draft, *first, listen, host);
+            check_route(draft, *first, listen, host);
         }
     }
 }
 
-fn check_way(draft: &Draft<'_>, server: SocketAddr, listen: &[IpAddr], host: &dyn Host) {
+fn check_route(draft: &Draft<'_>, server: SocketAddr, listen: &[IpAddr], host: &dyn Host) {
     let entry = &draft.servers.entry;
     let Some(source) = host.source_towards(server) else { return };
     let Ok(source) = source else {
         entry.warn(
             format!("no route leads to {}", server.ip()),
-            "correct the address, or bring up the interface on the plant's side",
+            "correct the address, or bring up the interface towards the plant",
         );
         return;
     };
@@ -98,19 +98,22 @@ fn check_way(draft: &Draft<'_>, server: SocketAddr, listen: &[IpAddr], host: &dy
     }
     if is_public(source, listen, host) {
         entry.fault_that_passes(
-            format!("the way to {} leaves by the Internet side, from {source}", server.ip()),
-            "passwords would leave in clear: correct the address, or bring up the interface on the \
-             plant's side; where the servers are behind that gateway, set `servers_beyond_gateway = true`",
+            format!("the route to {} leaves by the Internet side, from {source}", server.ip()),
+            "passwords would leave in clear text: correct the address, or bring up the interface towards \
+             the plant; if the servers are behind that gateway, set `servers_beyond_gateway = true`",
         );
     } else {
         entry.warn(
-            format!("no interface of this host is in the subnet of {}: the way starts at {source}", server.ip()),
-            "correct the address, or set `servers_beyond_gateway = true` where a gateway leads there",
+            format!(
+                "no interface of this host is in the subnet of {}: the route starts at {source}",
+                server.ip()
+            ),
+            "correct the address, or set `servers_beyond_gateway = true` if a gateway leads there",
         );
     }
 }
 
-/// Whether the servers' subnet holds this address of the host, or it is the server's own.
+/// Whether this address of the host is in the server's subnet.
 fn is_near(source: IpAddr, server: IpAddr) -> bool {
     match (source, server) {
         (IpAddr::V4(source), IpAddr::V4(server)) => source.octets()[..3] == server.octets()[..3],
@@ -119,8 +122,8 @@ fn is_near(source: IpAddr, server: IpAddr) -> bool {
     }
 }
 
-/// Whether clients reach this address of the host: it is listened on by name, or it is the one
-/// towards the Internet, for which addresses of documentation stand.
+/// Whether clients reach this address of the host: `listen` names it, or it is the address towards the
+/// Internet. Addresses reserved for documentation stand for the Internet.
 fn is_public(source: IpAddr, listen: &[IpAddr], host: &dyn Host) -> bool {
     if listen.contains(&source) {
         return true;

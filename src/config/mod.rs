@@ -67,13 +67,14 @@ pub fn load(path: &Path) -> Result<(Config, Vec<Warning>), Faults> {
     parse_on(&read_text(path)?, path, &ThisHost, None)
 }
 
-/// The same for a relay that has this table in force: this host is asked about other servers alone.
+/// The same for a relay that has this table in force: the host is asked only about servers that are not
+/// in it.
 pub fn load_again(path: &Path, in_force: &Table) -> Result<(Config, Vec<Warning>), Faults> {
     parse_on(&read_text(path)?, path, &ThisHost, Some(in_force))
 }
 
-/// Reads a configuration from text, as if it stood in the file `path`, on a host of which nothing is
-/// known.
+/// Reads a configuration from text as if it were the file `path`. Does not ask this host about the
+/// servers.
 pub fn parse(text: &str, path: &Path) -> Result<(Config, Vec<Warning>), Faults> {
     parse_on(text, path, &host::Unknown, None)
 }
@@ -93,7 +94,7 @@ fn parse_on(
     report.verdict(config)
 }
 
-/// The configuration, unless a fault was noted.
+/// The configuration; none when there was a fault.
 fn read(mut root: Section<'_>, host: &dyn Host, in_force: Option<&Table>) -> Option<Config> {
     let (place, report) = (root.place.clone(), root.report);
     let listeners = sections::public(root.key("public", "").section());

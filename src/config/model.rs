@@ -19,7 +19,7 @@ pub struct Config {
     pub listen: Vec<IpAddr>,
     /// The NAT table.
     pub table: Arc<Table>,
-    /// Bounds of the router as a whole.
+    /// Limits of the relay as a whole.
     pub limits: Limits,
     /// How datagrams are taken from the kernel.
     pub datapath: Datapath,
@@ -27,20 +27,19 @@ pub struct Config {
     pub log: Log,
     /// How the process runs.
     pub runtime: Runtime,
-    /// The admin server; none when it is switched off.
+    /// The admin server; none when it is disabled.
     pub admin: Option<Admin>,
-    /// What it was read from, and is read from again: the configuration file, and the files with
-    /// passwords and tokens.
+    /// The files that it was read from: the configuration file, and the files with passwords and tokens.
     pub files: Vec<PathBuf>,
 }
 
 /// How the process runs.
 #[derive(Clone, Debug)]
 pub struct Runtime {
-    /// The user that root goes over to once the sockets are bound, by name or number; none: it stays
-    /// who it is.
+    /// The user, by name or number, that a relay started by root becomes once its sockets are bound;
+    /// none: it stays root.
     pub user: Option<String>,
-    /// Worker threads; none: one for each two cores, whose other half the kernel's own work takes.
+    /// Worker threads; none: one for each two cores, since the kernel's own work takes the other one.
     pub workers: Option<NonZeroUsize>,
     /// How long a stopping relay waits for answers that are still due.
     pub drain: Duration,
@@ -51,7 +50,7 @@ pub struct Runtime {
 pub struct Datapath {
     /// Octets of receive buffer to ask the kernel for, for each socket.
     pub receive_buffer: usize,
-    /// When the kernel refuses on the public sockets what cannot pass.
+    /// When the kernel drops on the public sockets what cannot pass.
     pub prefilter: Prefilter,
     /// How long a worker looks for the next datagram before it sleeps; zero: not at all.
     pub busy_poll: Duration,
@@ -64,10 +63,10 @@ pub struct Log {
     pub audit_lines: u32,
 }
 
-/// When the kernel refuses on the public sockets what cannot pass, instead of the worker.
+/// When the kernel, instead of the worker, drops on the public sockets what cannot pass.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Prefilter {
-    /// On a socket that is flooded, as long as it is.
+    /// On a socket while it is flooded.
     Auto,
     /// From the start on.
     Always,
@@ -75,7 +74,7 @@ pub enum Prefilter {
     Off,
 }
 
-/// A text that names none of the ways to prefilter.
+/// A text that is no value of `prefilter`.
 #[derive(Debug, thiserror::Error)]
 #[error("choose \"auto\", \"always\" or \"off\"")]
 pub struct NotAPrefilter;
@@ -109,9 +108,9 @@ impl Prefilter {
 pub struct Admin {
     /// Where it listens.
     pub listen: SocketAddr,
-    /// What whoever asks has to show; probes need not.
+    /// The token that requests other than probes must carry.
     pub token: Option<Token>,
-    /// Whether the metrics are for everybody all the same.
+    /// Whether the metrics are served without the token.
     pub metrics_without_token: bool,
     /// Whether `POST /-/reload` brings the configuration file into force.
     pub reload: bool,

@@ -1,7 +1,7 @@
 //! One net of the NAT table: a `[[udp_range_net]]` or a `[[server]]`, with the rules they share.
 //!
-//! What is read here may still hold faults; a [`Draft`] keeps what could be read, so that the
-//! nets can be compared with each other all the same.
+//! A net with faults is still a [`Draft`] of all that could be read, so that the nets can be compared
+//! with each other.
 
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::time::Duration;
@@ -22,12 +22,12 @@ const BROADCASTS: [u16; 2] = [BNA as u16, SNA as u16];
 const LAST_START_PORT: u16 = u16::MAX - LAST_NODE as u16;
 /// RFC 4787 REQ-5: a mapping lives at least this long.
 const SHORT_IDLE_TIMEOUT: Duration = Duration::from_secs(120);
-/// Ports below need a privilege to bind.
+/// Lower ports need a privilege to bind.
 const FIRST_UNPRIVILEGED_PORT: u16 = 1024;
-/// More flows than this, and their memory would be counted in hundreds of megabytes.
+/// More flows would take hundreds of megabytes.
 pub(super) const MOST_FLOWS: u32 = 1_000_000;
 
-/// What a net claims for itself alone: public ports or servers, and the key that says so.
+/// What no other net may have: public ports or servers, and the key that they come from.
 #[derive(Debug)]
 pub(super) struct Claim<'a, T> {
     pub(super) entry: Entry<'a>,
@@ -45,7 +45,7 @@ pub(super) struct Draft<'a> {
     pub(super) public_ports: Claim<'a, u16>,
     pub(super) servers: Claim<'a, SocketAddr>,
     pub(super) allowed: Allowed<'a>,
-    /// The servers are reached by a gateway, maybe the one towards the Internet.
+    /// The servers may be reached by a gateway, even by the one towards the Internet.
     pub(super) servers_beyond_gateway: bool,
 }
 
@@ -57,7 +57,7 @@ pub(super) struct Allowed<'a> {
 }
 
 impl Draft<'_> {
-    /// The net and where it stands, for a fault of another one.
+    /// The net and its line, for a fault of another net.
     pub(super) fn label(&self) -> String {
         let SourceSpan { line, key } = &self.place;
         format!("{key} \"{}\" (line {line})", self.net.name)
@@ -217,7 +217,7 @@ fn subnet(entry: &Entry<'_>) -> Option<[u8; 4]> {
     }
     let first = Ipv4Addr::new(a, b, c, 1);
     if !is_a_host(first.into()) {
-        entry.fault(format!("no host can be at {first}"), "name the subnet of the servers");
+        entry.fault(format!("{first} is not a host address"), "name the subnet of the servers");
         return None;
     }
     Some([a, b, c, 0])
@@ -225,7 +225,7 @@ fn subnet(entry: &Entry<'_>) -> Option<[u8; 4]> {
 
 /// Node addresses, in their order.
 fn nodes(entry: &Entry<'_>) -> Vec<u8> {
-    // One bit for each node, for a list may name all of them very often.
+    // One bit for each node: a list may repeat all of them very often.
     let mut nodes = 0_u128;
     for element in entry.list() {
         let Some((first, last)) = node_range(&element) else { continue };
@@ -263,9 +263,9 @@ fn check_server_address(entry: &Entry<'_>, address: SocketAddr, node: Option<u8>
     let zone = matches!(address, SocketAddr::V6(v6) if v6.scope_id() != 0);
     if is_link_local(address.ip()) && !zone {
         entry.fault(
-            format!("{} is the same on every interface", address.ip()),
+            format!("{} is link-local: the same on every interface", address.ip()),
             format!(
-                "add the interface's number, which `ip link` tells: \"[{}%2]:{}\"; or name \
+                "add the interface's number, which `ip link` shows: \"[{}%2]:{}\"; or name \
                  another address of the server",
                 address.ip(),
                 address.port()
@@ -280,8 +280,8 @@ fn check_server_address(entry: &Entry<'_>, address: SocketAddr, node: Option<u8>
     {
         // R-12
         entry.warn(
-            format!("a server's last octet is its node address, yet {ip} is to be node {node}"),
-            "correct `address` or `node`, or the server takes no package as its own",
+            format!("the last octet of {ip} is not its node address, {node}"),
+            "correct `address` or `node`; otherwise the server ignores every package",
         );
     }
 }
@@ -326,7 +326,7 @@ fn idle_timeout(entry: &Entry<'_>) -> Duration {
     timeout
 }
 
-/// A name fit for metrics, logs and addresses of the API.
+/// A name that metrics, logs and URLs of the API can carry.
 pub(super) fn name(entry: &Entry<'_>) -> Option<String> {
     let name = entry.text()?;
     let valid = (1..=63).contains(&name.len())
@@ -340,7 +340,7 @@ pub(super) fn name(entry: &Entry<'_>) -> Option<String> {
         return None;
     }
     if name == "none" {
-        entry.fault("\"none\" labels what has no name", "choose another name");
+        entry.fault("\"none\" is the label of what belongs to no net", "choose another name");
         return None;
     }
     Some(name.to_owned())

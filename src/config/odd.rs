@@ -1,17 +1,17 @@
-//! Octets of a password that look like a mistake: a line break of an editor, a blank at the end, a
-//! letter that takes two octets. A warning, for a password may be any 8 octets.
+//! Octets of a password that look like a mistake: a line break from an editor, a space at the end, a
+//! letter that takes two octets. Only a warning, since a password may be any 8 octets.
 
 use crate::pnet::wire::Password;
 
-/// From so many printable octets on, a password is taken for text. Of 8 random octets, so many are
-/// once in 200 times.
+/// A password with at least this many printable octets counts as text. Of 8 random octets, that many are
+/// printable once in 200 times.
 const TEXT: usize = 7;
 
-/// Which octets look like a mistake, by position and kind; nothing when the password is of random
-/// octets. Never shows one that could be a character of the password.
+/// Which octets look like a mistake, by position and kind; none when the password is random octets.
+/// Never shows an octet that could be a character of the password.
 pub(super) fn oddities(password: &Password) -> Option<String> {
     let octets = password.octets();
-    // Random octets are hardly ever UTF-8: whatever is, somebody has typed.
+    // Random octets are almost never UTF-8, so text that is was typed.
     let is_text = str::from_utf8(octets).is_ok()
         || octets.iter().filter(|octet| is_printable(**octet)).count() >= TEXT;
     let beginning = octets.iter().take_while(|octet| is_blank(**octet)).count();
@@ -40,12 +40,12 @@ fn is_blank(octet: u8) -> bool {
     matches!(octet, b' ' | b'\t' | b'\r' | b'\n')
 }
 
-/// What stands at an end, and is hardly meant.
+/// What is hardly meant at the beginning or end.
 fn blank(octet: u8) -> Option<String> {
-    if octet == b' ' { Some("a blank".into()) } else { inside(octet) }
+    if octet == b' ' { Some("a space".into()) } else { inside(octet) }
 }
 
-/// What is no character that everybody can type.
+/// What is not a character that everybody can type.
 fn inside(octet: u8) -> Option<String> {
     match octet {
         b'\n' => Some("a line break (LF)".into()),
@@ -53,7 +53,7 @@ fn inside(octet: u8) -> Option<String> {
         b'\t' => Some("a tab".into()),
         octet if is_printable(octet) => None,
         octet if octet.is_ascii() => Some(format!("a control character ({octet:#04x})")),
-        _ => Some("not ASCII: part of a letter that other systems may write otherwise".into()),
+        _ => Some("not ASCII: part of a letter that other systems may encode differently".into()),
     }
 }
 
@@ -71,8 +71,8 @@ mod tests {
             (b"k7Zq+4L\n", "octet 8 is a line break (LF)"),
             (b"k7Zq+4\r\n", "octet 7 is a line break (CR), octet 8 is a line break (LF)"),
             (b"k7Zq+4L\r", "octet 8 is a line break (CR)"),
-            (b"k7Zq+4L ", "octet 8 is a blank"),
-            (b" k7Zq+4L", "octet 1 is a blank"),
+            (b"k7Zq+4L ", "octet 8 is a space"),
+            (b" k7Zq+4L", "octet 1 is a space"),
             (b"k7Zq\t4Lx", "octet 5 is a tab"),
             (b"k7Zq+4L\t", "octet 8 is a tab"),
             (b"k7Zq\x1b4Lx", "octet 5 is a control character (0x1b)"),
@@ -96,7 +96,7 @@ mod tests {
         let mut random = fastrand::Rng::with_seed(7);
         let told = (0..20_000).filter(|_| !odd(&std::array::from_fn(|_| random.u8(..))).is_empty());
         let told = told.count();
-        // One in 64 ends with a blank or a line break.
+        // One in 64 ends with a space or a line break.
         assert!(told < 20_000 / 30, "{told} of 20,000");
     }
 }

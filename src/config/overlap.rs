@@ -1,5 +1,5 @@
-//! What the nets must not share: names, public ports, servers, the ports of broadcasts. And no
-//! server may be the router itself.
+//! What nets must not share: names, public ports, servers, and the ports of broadcasts. And no server may
+//! be the router itself.
 
 use std::collections::hash_map::Entry as Slot;
 use std::collections::{BTreeMap, HashMap, HashSet};
@@ -10,7 +10,7 @@ use super::changes::runs;
 use super::net::{Claim, Draft};
 use super::toml_table::Entry;
 
-/// Notes every conflict between two nets, once a pair, and every loop.
+/// Reports every conflict between two nets, once for each pair, and every loop.
 pub(super) fn refuse_overlaps(drafts: &[Draft<'_>], listen: &[IpAddr]) {
     refuse_shared_names(drafts);
     refuse_shared_ports(drafts);
@@ -48,13 +48,12 @@ fn refuse_shared_servers(drafts: &[Draft<'_>]) {
         };
         drafts[later].servers.entry.fault(
             format!("server {}{more} belongs to {} too", servers[0], drafts[earlier].label()),
-            "let each server stand behind one public port",
+            "give each server one public port only",
         );
     }
 }
 
-/// nothing listens at start port + 126 or + 127. Two blocks that have these in common are told
-/// of once.
+/// nothing listens at start port + 126 or + 127. Two blocks that share these ports are one fault.
 fn refuse_broadcast_ports(drafts: &[Draft<'_>]) {
     let mut silent = HashMap::new();
     for range in drafts {
@@ -68,7 +67,7 @@ fn refuse_broadcast_ports(drafts: &[Draft<'_>]) {
             let Some(range) = silent.get(port) else { continue };
             if told.insert(&range.place.key) {
                 draft.public_ports.entry.fault(
-                    format!("public port {port} is a broadcast's in {}", range.label()),
+                    format!("public port {port} is a broadcast port of {}", range.label()),
                     "choose another: nothing may listen at start port + 126 or + 127",
                 );
             }
@@ -80,7 +79,7 @@ fn refuse_loops(drafts: &[Draft<'_>], listen: &[IpAddr]) {
     let public_ports: HashSet<u16> =
         drafts.iter().flat_map(|draft| draft.public_ports.values.iter().copied()).collect();
     let own: HashSet<&IpAddr> = listen.iter().collect();
-    // Listening everywhere includes loopback; which other addresses are this host's is not known.
+    // Listening on every address includes loopback. Other addresses of this host are not known here.
     let everywhere = listen.iter().any(IpAddr::is_unspecified);
     let is_ours = |server: &SocketAddr| {
         let ip = server.ip();
@@ -91,13 +90,13 @@ fn refuse_loops(drafts: &[Draft<'_>], listen: &[IpAddr]) {
         if let Some(server) = draft.servers.values.iter().find(|server| is_ours(server)) {
             draft.servers.entry.fault(
                 format!("server {server} is a public port of this router"),
-                "name the server itself, or datagrams go round in a loop",
+                "enter the server's own address; datagrams to this one would loop",
             );
         }
     }
 }
 
-/// A listener hears clients of its own family alone.
+/// A listener is reached only by clients of its address family: warns where one side has no counterpart.
 pub(super) fn warn_of_deaf_listeners(drafts: &[Draft<'_>], listeners: &[(Entry<'_>, IpAddr)]) {
     for (family, example, is_of) in [
         ("IPv4", "0.0.0.0", IpAddr::is_ipv4 as fn(&IpAddr) -> bool),
@@ -113,15 +112,15 @@ pub(super) fn warn_of_deaf_listeners(drafts: &[Draft<'_>], listeners: &[(Entry<'
             (None, Some(_)) => allowed.for_each(|element| {
                 element.warn(
                     format!(
-                        "no {family} client can come, for `[public] listen` has {family} nowhere"
+                        "no {family} client can reach the relay: `[public] listen` has no {family} address"
                     ),
                     format!("add \"{example}\", or one {family} address of this host, to `listen`"),
                 );
             }),
             (Some(_), None) if !drafts.is_empty() => listeners.for_each(|(element, address)| {
                 element.warn(
-                    format!("nobody can come by {address}, for no `allow` has {family} networks"),
-                    format!("add the clients' {family} networks to `allow`, or take this one out"),
+                    format!("no client can use {address}, since no `allow` has {family} networks"),
+                    format!("add the clients' {family} networks to `allow`, or remove this address"),
                 );
             }),
             _ => {}
@@ -129,7 +128,7 @@ pub(super) fn warn_of_deaf_listeners(drafts: &[Draft<'_>], listeners: &[(Entry<'
     }
 }
 
-/// What two nets both claim, by (later net, earlier net).
+/// What two nets both claim, by (index of the later net, index of the earlier one).
 fn shared<'a, T: Copy + Eq + Hash + 'a>(
     drafts: &'a [Draft<'a>],
     claim: impl Fn(&'a Draft<'a>) -> &'a Claim<'a, T>,

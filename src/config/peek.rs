@@ -1,5 +1,4 @@
-//! Single keys of a configuration that need not be sound. What is wrong with them,
-//! [`parse`](super::parse) reports.
+//! Single keys of a configuration that may have faults. [`parse`](super::parse) reports those.
 
 use std::net::SocketAddr;
 use std::path::PathBuf;

@@ -1,8 +1,8 @@
-//! Faults and warnings: where in which file, what is wrong, what to do.
+//! Faults and warnings: file and line, what is wrong, and what to do.
 //!
-//! Reading never stops at a fault; it is noted in a [`Report`], which decides at the end whether a
-//! configuration may be used. Of very many, the first are kept and the others counted. No message
-//! ever holds an octet of a password.
+//! Reading never stops at a fault. A [`Report`] collects them and decides at the end whether the
+//! configuration can be used. Of very many faults the first are kept and the others counted. No message
+//! contains an octet of a password.
 
 use std::borrow::Cow;
 use std::cell::RefCell;
@@ -14,14 +14,14 @@ use super::excerpt::Lines;
 use super::syntax::Advice;
 use crate::harmless::harmless;
 
-/// So many faults are told, and as many warnings: enough to mend at a time.
+/// How many faults are shown, and how many warnings: enough to correct at a time.
 pub(super) const MOST_TOLD: usize = 100;
-/// What is wrong with a key that is left out.
+/// The problem of a required key that is left out.
 pub(super) const MISSING: &str = "missing";
-/// Of a text in the file, so many characters are shown.
+/// How many characters of a text in the file are shown.
 const MOST_SHOWN: usize = 100;
 
-/// Something in the configuration that keeps the router from starting.
+/// Something in the configuration that keeps the relay from starting.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Fault {
     /// The configuration file.
@@ -35,9 +35,9 @@ pub struct Fault {
     pub problem: String,
     /// What to do about it.
     pub remedy: String,
-    /// The line itself, and below it a sign that points at the place; of a text that is no TOML.
+    /// The line itself, and below it a `^` that points at the place; only where the text is not TOML.
     pub excerpt: Option<String>,
-    /// It may pass by itself, without an edit: an interface comes up.
+    /// It may go away without an edit, for example when an interface comes up.
     pub passes: bool,
 }
 
@@ -54,8 +54,8 @@ impl fmt::Display for Fault {
     }
 }
 
-/// The faults of a configuration, in the order of their lines; printed one a line, and below it the
-/// excerpt where there is one.
+/// The faults of a configuration, in the order of their lines. Printed one a line, each followed by its
+/// excerpt if it has one.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Faults(pub Vec<Fault>);
 
@@ -75,13 +75,13 @@ impl fmt::Display for Faults {
 impl std::error::Error for Faults {}
 
 impl Faults {
-    /// Whether all of them may pass by themselves.
+    /// Whether all of them may go away without an edit.
     pub fn pass(&self) -> bool {
         self.0.iter().all(|fault| fault.passes)
     }
 }
 
-/// Something that the router can run with, but that is probably not meant.
+/// Something that the relay can run with, but that is probably not intended.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Warning(pub Fault);
 
@@ -91,7 +91,7 @@ impl fmt::Display for Warning {
     }
 }
 
-/// A text as a message shows it: no longer than a line.
+/// A text as a message shows it: cut when it is longer than a line.
 pub(super) fn shortened(text: &str) -> Cow<'_, str> {
     match text.char_indices().nth(MOST_SHOWN) {
         Some((end, _)) => format!("{}…", &text[..end]).into(),
@@ -99,7 +99,7 @@ pub(super) fn shortened(text: &str) -> Cow<'_, str> {
     }
 }
 
-/// The same in quotes, escaped.
+/// The same, escaped and in quotes.
 pub(super) fn quoted(text: &str) -> String {
     format!("{:?}", shortened(text))
 }
@@ -113,7 +113,7 @@ pub(super) struct SourceSpan {
     pub(super) key: String,
 }
 
-/// What was found while one file was read.
+/// What was found while a file was read.
 #[derive(Debug)]
 pub(super) struct Report<'a> {
     /// The configuration file.
@@ -153,13 +153,13 @@ impl<'a> Report<'a> {
         self.faults.borrow_mut().note(fault, None);
     }
 
-    /// A key that the section has not. Where it belongs is known once all sections are read.
+    /// A key that the section does not have. Where it belongs is known once all sections are read.
     pub(super) fn unknown_key(&self, place: &SourceSpan, unknown: Unknown, remedy: String) {
         let fault = self.found(place, "unknown key".into(), remedy);
         self.faults.borrow_mut().note(fault, Some(unknown));
     }
 
-    /// A text that is no TOML: the fault shows the place at this offset.
+    /// A text that is not TOML: the fault shows the line of this offset.
     pub(super) fn syntax_fault(&self, offset: usize, advice: Advice) {
         let Advice { key, problem, remedy } = advice;
         let place = SourceSpan { line: self.line(offset), key };
@@ -181,7 +181,7 @@ impl<'a> Report<'a> {
         self.faults.borrow().kept.is_empty()
     }
 
-    /// What was read, with the warnings, when no fault was noted; else the faults.
+    /// What was read and the warnings if there is no fault; otherwise the faults.
     pub(super) fn verdict<T>(self, read: Option<T>) -> Result<(T, Vec<Warning>), Faults> {
         let known = self.known.into_inner();
         let faults = self.faults.into_inner().told("faults", &known);
@@ -208,19 +208,19 @@ impl<'a> Report<'a> {
     }
 }
 
-/// A key that its section has not.
+/// A key that its section does not have.
 #[derive(Debug)]
 pub(super) struct Unknown {
     pub(super) name: String,
     /// The header of the section, and the line that it begins in.
     pub(super) header: String,
     pub(super) line: usize,
-    /// The section has a key that is nearly the same.
+    /// The section has a key with nearly the same name.
     pub(super) is_close: bool,
 }
 
 impl Unknown {
-    /// The path that the key has in the section above, where it belongs.
+    /// The path of the key in the section above, if it belongs there.
     fn home(&self, path: &str, known: &BTreeMap<String, Vec<&'static str>>) -> Option<String> {
         let (section, _) = path.rsplit_once('.')?;
         let (above, _) = section.rsplit_once('.')?;
@@ -229,7 +229,7 @@ impl Unknown {
         keys.contains(&self.name.as_str()).then(|| format!("{above}.{}", self.name))
     }
 
-    /// What to do when other sections have the key.
+    /// What to do if another section has the key.
     fn remedy(&self, known: &BTreeMap<String, Vec<&'static str>>) -> Option<String> {
         let Self { name, header, line, is_close } = self;
         let has_it = |(_, keys): &(_, &Vec<_>)| keys.contains(&name.as_str());
@@ -246,12 +246,12 @@ impl Unknown {
     }
 }
 
-/// The first faults by line, and how many more there are.
+/// The first faults by line, and how many further ones there are.
 #[derive(Debug, Default)]
 struct Noted {
     kept: Vec<(Fault, Option<Unknown>)>,
     more: usize,
-    /// The line of the first of those.
+    /// The line of the first of the further ones.
     from: Option<usize>,
 }
 
@@ -273,7 +273,7 @@ impl Noted {
 
     fn told(mut self, kind: &str, known: &BTreeMap<String, Vec<&'static str>>) -> Vec<Fault> {
         self.keep_the_first();
-        // A key that stands in the wrong section is not missing: to add it would have it twice.
+        // A key that stands in the wrong section is not missing: adding it would make two of it.
         let misplaced: Vec<_> = self
             .kept
             .iter()
@@ -292,7 +292,7 @@ impl Noted {
                 line: self.from,
                 key: String::new(),
                 problem: format!("{more} more {kind} from this line on are not shown"),
-                remedy: "mend those above, and check again".into(),
+                remedy: "correct those above, and check again".into(),
                 excerpt: None,
                 ..last.clone()
             });

@@ -1,9 +1,9 @@
-//! Settings that are settled at the start.
+//! Settings that only a restart changes.
 
 use super::{Config, NotInForce};
 
-/// Keeps in `new` what `old` has of the settings that cannot change while the relay runs, and tells
-/// which of them would have. Everything else of `new` stays.
+/// Copies from `old` to `new` the settings that cannot change while the relay runs, and returns those
+/// that differed. Everything else in `new` stays.
 pub fn keep_settled(old: &Config, new: &mut Config) -> Vec<NotInForce> {
     let mut kept = Vec::new();
     let mut keep = |what: &str, changed| {
@@ -20,7 +20,7 @@ pub fn keep_settled(old: &Config, new: &mut Config) -> Vec<NotInForce> {
     match (&old.admin, &mut new.admin) {
         (Some(was), Some(is)) => {
             keep("[admin] listen", was.listen != is.listen);
-            // An address that needs a token keeps one.
+            // The old address may need a token although the new one does not.
             if was.listen != is.listen && is.token.is_none() {
                 is.token.clone_from(&was.token);
             }

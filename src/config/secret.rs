@@ -1,7 +1,7 @@
-//! Password files: 8 opaque octets, closed to others than their owner and group. Token files are
-//! opened by the same rules.
+//! Password files: exactly 8 octets of any value, in a file that only its owner can write and nobody
+//! beyond owner and group can read. Token files are opened by the same rules.
 //!
-//! A few octets more than a password are read, buffers are wiped, and no error tells an octet.
+//! Only a few octets more than a password are read, buffers are wiped, and no error shows an octet.
 
 use std::fs::File;
 use std::os::unix::fs::MetadataExt;
@@ -17,10 +17,10 @@ use super::odd::oddities;
 use super::toml_table::Entry;
 
 const BYTE_ORDER_MARK: &[u8] = b"\xef\xbb\xbf";
-/// As much as a password with a byte order mark and a line break has, and one more.
+/// One octet more than a password with a byte order mark and a line break.
 const MOST_READ: usize = Password::LEN + 6;
-/// Others can do anything with it, or the group can write it. A group that reads is how Kubernetes
-/// hands a secret to a process that is not root.
+/// Mode bits that are refused: others have access, or the group can write or execute. The group may
+/// read: that is how Kubernetes gives a secret to a process that is not root.
 const OPEN_TO_OTHERS: u32 = 0o027;
 
 /// Why a password file is refused.
@@ -45,7 +45,7 @@ impl SecretError {
         matches!(self, Self::File { source, .. } if source.is_absent())
     }
 
-    /// What the user can do, other than to write a new file.
+    /// What the user can do; none when only a new file helps.
     fn remedy_for(&self) -> Option<String> {
         match self {
             Self::File { source, .. } if source.is_absent() => None,
@@ -61,17 +61,17 @@ impl SecretError {
             }
             Self::LineBreak { path, .. } => {
                 let file = shell_quoted(path);
-                Some(format!("take it away: `truncate --size=8 {file}`"))
+                Some(format!("remove it: `truncate --size=8 {file}`"))
             }
             Self::TooShort { .. } | Self::TooLong(_) | Self::Marked(_) => None,
         }
     }
 
-    /// What the user of a file with a known password can do.
+    /// What to do when the net's password is known, and only its file is wrong.
     pub(crate) fn remedy(&self) -> String {
         self.remedy_for().unwrap_or_else(|| match self {
             Self::File { .. } => "name the file that holds the net's password".into(),
-            _ => "let it hold the 8 octets of the net's password and nothing else".into(),
+            _ => "write the 8 octets of the net's password into it and nothing else".into(),
         })
     }
 }
@@ -81,8 +81,8 @@ pub(super) fn make_password(path: &Path) -> String {
     make(path, "head -c 6 /dev/urandom | base64 | tr -d '\\n'")
 }
 
-/// A command that writes what another puts out into a file which is its owner's alone, in a folder
-/// that may have to be made.
+/// A shell command that writes the output of another one into a file that only its owner can read. Makes
+/// the folder if there is none.
 pub(super) fn make(path: &Path, output: &str) -> String {
     let folder = path.parent().filter(|folder| *folder != Path::new("") && !folder.exists());
     let folder = folder.map(|folder| format!("mkdir -p -m 700 -- {} && ", shell_quoted(folder)));
@@ -94,7 +94,7 @@ pub(super) fn password_file(entry: &Entry<'_>) -> Option<Password> {
     read_entry(entry, |path| format!("make one of 8 random characters: {}", make_password(path)))
 }
 
-/// The password of servers, which they were given elsewhere.
+/// The password that the servers expect; it was set on the devices.
 pub(super) fn device_password_file(entry: &Entry<'_>) -> Option<Password> {
     read_entry(entry, |path| {
         let command = make(path, "IFS= read -r password; printf %s \"$password\"");
@@ -107,7 +107,7 @@ fn read_entry(entry: &Entry<'_>, write_anew: impl Fn(&Path) -> String) -> Option
     match read_password(path.clone()) {
         Ok(password) => {
             if let Some(oddities) = oddities(&password) {
-                let remedy = format!("unless that is meant, {}", write_anew(&path));
+                let remedy = format!("unless that is intended, {}", write_anew(&path));
                 entry.warn(format!("a password that looks mistyped: {oddities}"), remedy);
             }
             Some(password)
@@ -126,7 +126,7 @@ pub(super) fn path_of(entry: &Entry<'_>) -> Option<PathBuf> {
     Some(folder.join(entry.text()?))
 }
 
-/// The same, which is remembered as one of the configuration's files.
+/// The same path; also remembers it as one of the configuration's files.
 pub(super) fn path(entry: &Entry<'_>) -> Option<PathBuf> {
     let path = path_of(entry)?;
     entry.report.secrets.borrow_mut().push(path.clone());
@@ -153,7 +153,7 @@ pub(crate) fn read_password(path: PathBuf) -> Result<Password, SecretError> {
     }
 }
 
-/// Opens a file that is closed to others.
+/// Opens a file; refuses it when others have access.
 pub(super) fn open(path: &Path) -> Result<File, SecretError> {
     let unreadable = |source| SecretError::File { path: path.to_owned(), source };
     let (file, metadata) = file::open(path).map_err(unreadable)?;

@@ -21,7 +21,7 @@ pub(super) fn public(mut section: Section<'_>) -> Vec<(Entry<'_>, IpAddr)> {
     section.finish();
     let mut listen = Vec::new();
     let mut known = HashSet::new();
-    // The first of each family, and the one that stands for all of it.
+    // By family: the first address, and the one that stands for all.
     let (mut first, mut all) = (HashMap::new(), HashMap::new());
     for element in entry.list() {
         let Some(address) = address::listener(&element) else { continue };
@@ -33,8 +33,8 @@ pub(super) fn public(mut section: Section<'_>) -> Vec<(Entry<'_>, IpAddr)> {
         }
         if let Some(other) = clash {
             element.fault(
-                format!("{address} and {other} overlap, for one of them is every address"),
-                "list either the addresses one by one or the one that is all of them",
+                format!("{address} and {other} overlap: one of them stands for every address"),
+                "list either single addresses or the one that stands for all",
             );
         }
         first.entry(family).or_insert(address);
@@ -62,7 +62,7 @@ pub(super) fn limits(mut section: Section<'_>) -> Limits {
     section.finish();
     let interval = interval.duration(Duration::from_millis(1)..=LONGEST);
     let burst = burst.integer(1..=u16::MAX).unwrap_or(defaults::WRONG_PASSWORD_BURST);
-    // With fewer for the address, none of its senders would ever come to their own bound.
+    // With a lower bound for the address, none of its senders would reach its own bound.
     let least = u32::from(burst);
     Limits {
         max_flows: max_flows.integer(1..=net::MOST_FLOWS).unwrap_or(defaults::MAX_FLOWS),
@@ -128,7 +128,9 @@ pub(super) fn admin(mut section: Section<'_>) -> Option<Admin> {
     let beyond = !listen.ip().to_canonical().is_loopback();
     if enabled && beyond && !token_file.is_there() {
         listen_entry.fault(
-            format!("{listen} can be reached from other hosts, and would answer them all"),
+            format!(
+                "{listen} can be reached from other hosts, and every request would be answered"
+            ),
             format!("set `token_file`, or listen on \"{}\"", defaults::ADMIN_LISTEN),
         );
     }

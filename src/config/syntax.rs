@@ -1,8 +1,7 @@
-//! What to do about a text that is no TOML: values without quotes, blocks in the wrong order, signs that
-//! nobody sees.
+//! Advice for a text that is not TOML: values without quotes, blocks in the wrong order, invisible
+//! characters.
 //!
-//! The parser tells where it stopped. What is advised here has been tried: the line that a remedy
-//! shows can be read.
+//! The parser reports where it stopped. A remedy shows a line only after trying that it can be read.
 
 use std::collections::HashSet;
 
@@ -13,7 +12,7 @@ use super::report::{MOST_TOLD, Report, shortened};
 
 /// Keys whose value is a list.
 const LISTS: [&str; 3] = ["listen", "nodes", "allow"];
-/// Quotes as typists, keyboards and word processors have them.
+/// Quotation marks of keyboards and word processors.
 const QUOTES: [char; 10] = ['"', '\'', '“', '”', '„', '‟', '‘', '’', '`', '´'];
 
 /// What is wrong at a place, and what to do.
@@ -35,7 +34,7 @@ pub(super) fn note_faults(report: &Report<'_>, errors: &[toml::de::Error]) {
     for (number, error) in errors.iter().enumerate() {
         let offset = error.span().map_or(0, |span| span.start);
         let line = report.line(offset);
-        // What the parser makes of the rest of such a line helps nobody.
+        // What the parser reports of the rest of such a line does not help.
         if syntax.follows(line, &advised) {
             continue;
         }
@@ -75,7 +74,7 @@ impl<'a> Syntax<'a> {
         Self { lines, headers: headers.collect() }
     }
 
-    /// What the place and the parser's message tell.
+    /// Advice from the place and the parser's message, if there is any.
     pub(super) fn advice(&self, offset: usize, message: &str) -> Option<Advice> {
         let line = self.lines.line(offset);
         let is_twice = message.contains("duplicate key");
@@ -88,14 +87,14 @@ impl<'a> Syntax<'a> {
         }
     }
 
-    /// Whether what the parser says of a line only follows from what was advised of its line, or of the header above.
+    /// Whether a fault only follows from one that was reported for its line or for the header above.
     pub(super) fn follows(&self, line: usize, advised: &HashSet<usize>) -> bool {
         let block = || self.headers.iter().rfind(|header| header.line <= line);
         let is_below = || block().is_some_and(|header| advised.contains(&header.line));
         !advised.is_empty() && (advised.contains(&line) || is_below())
     }
 
-    /// A sign that looks like a blank, or like nothing, outside of quotes.
+    /// An invisible character outside of quotes.
     fn unseen(&self, line: usize) -> Option<Advice> {
         let mut is_quoted = false;
         let is_outside = |&(_, c): &(usize, char)| {
@@ -107,14 +106,12 @@ impl<'a> Syntax<'a> {
         let (place, code) = (index + 1, u32::from(sign));
         Some(Advice {
             key: String::new(),
-            problem: format!(
-                "character {place} of the line is one that nobody sees (U+{code:04X})"
-            ),
-            remedy: "delete it, or type a plain blank in its place".into(),
+            problem: format!("character {place} of the line is invisible (U+{code:04X})"),
+            remedy: "delete it, or replace it with a plain space".into(),
         })
     }
 
-    /// A header whose name is taken by what stands above it.
+    /// A header whose name is already taken above.
     fn header_advice(&self, header: Header<'_>) -> Option<Advice> {
         let above = || self.headers.iter().filter(|above| above.line < header.line);
         let Header { text, name, .. } = header;
@@ -126,7 +123,7 @@ impl<'a> Syntax<'a> {
                     format!("move its keys to line {line}, below the first {text}"),
                 ),
                 _ => (
-                    format!("{other} in line {line} is written otherwise"),
+                    format!("{other} in line {line} is written differently"),
                     format!("write both as [[{name}]]"),
                 ),
             }
@@ -165,7 +162,7 @@ impl<'a> Syntax<'a> {
         })
     }
 
-    /// A value that lacks its quotes, or has some that TOML does not know.
+    /// A value without quotes, or with quotes that TOML does not know.
     fn value_advice(&self, line: usize) -> Option<Advice> {
         let text = self.lines.text(line);
         let Some((key, value)) = key_and_value(text) else { return self.element_advice(line) };
@@ -208,7 +205,7 @@ impl<'a> Syntax<'a> {
         })
     }
 
-    /// `udp_range_net[1].password[0].file` of a key in a line.
+    /// The path of a key in a line, such as `udp_range_net[1].password[0].file`.
     fn path(&self, line: usize, key: &str) -> String {
         let above = &self.headers[..self.headers.partition_point(|header| header.line < line)];
         let Some(header) = above.last() else { return key.to_owned() };
@@ -253,7 +250,7 @@ fn without_comment(text: &str) -> &str {
     text.split('#').next().unwrap_or(text).trim()
 }
 
-/// The two sides of a line, also where a colon stands for the sign between them.
+/// Key and value of a line, also when a colon stands in place of `=`.
 fn key_and_value(text: &str) -> Option<(&str, &str)> {
     let text = without_comment(text);
     let (key, value) = text.split_once('=').or_else(|| text.split_once(':'))?;
@@ -268,7 +265,7 @@ fn elements(list: &str) -> Option<String> {
     Some(elements?.join(", "))
 }
 
-/// A value as it should be written.
+/// The value, corrected; none when there is no correction.
 fn element(value: &str) -> Option<String> {
     let value = value.trim();
     if is_toml(&format!("x = {value}")) {
@@ -285,7 +282,7 @@ fn element(value: &str) -> Option<String> {
 }
 
 fn how(better: &str) -> &'static str {
-    if better.contains('"') { "write it in quotes" } else { "write it so" }
+    if better.contains('"') { "write it in quotes" } else { "write it like this" }
 }
 
 fn is_toml(text: &str) -> bool {

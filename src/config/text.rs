@@ -31,7 +31,7 @@ pub fn read_text(path: &Path) -> Result<String, Faults> {
         return Err(unreadable(
             None,
             problem,
-            "name a configuration; 65,535 servers fit into less",
+            "name a configuration file: 65,535 servers fit into less",
         ));
     }
     if let Some(encoding) = utf_16(&octets) {
@@ -41,7 +41,7 @@ pub fn read_text(path: &Path) -> Result<String, Faults> {
     String::from_utf8(octets).map_err(|err| {
         let sound = &err.as_bytes()[..err.utf8_error().valid_up_to()];
         let line = 1 + sound.iter().filter(|&&octet| octet == b'\n').count();
-        unreadable(Some(line), "not UTF-8 text".into(), "save the file as UTF-8")
+        unreadable(Some(line), "is not UTF-8 text".into(), "save the file as UTF-8")
     })
 }
 

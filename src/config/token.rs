@@ -11,12 +11,11 @@ use super::file;
 use super::secret::{self, SecretError};
 use super::toml_table::Entry;
 
-/// What a bearer has to show. Compared in constant time, wiped when dropped, and never shown by
-/// `Debug`.
+/// The token. Compared in constant time, wiped when dropped, and not shown by `Debug`.
 #[derive(Clone, ZeroizeOnDrop)]
 pub struct Token(Vec<u8>);
 
-/// A text that is no token.
+/// A text that cannot be a token.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("a token has 16 to 256 letters, digits and -._~+/=")]
 pub struct NotAToken;
@@ -32,7 +31,7 @@ impl Token {
         if sound { Ok(Self(characters.to_vec())) } else { Err(NotAToken) }
     }
 
-    /// Whether this is the token, found out in a time that tells no more than its length.
+    /// Whether `given` is the token. The time that this takes depends only on the length.
     pub fn matches(&self, given: &[u8]) -> bool {
         self.0.ct_eq(given).into()
     }
@@ -52,12 +51,12 @@ impl fmt::Debug for Token {
     }
 }
 
-/// The token in the file that `entry` names, relative to the folder of the configuration. A line
-/// break at its end is no part of it.
+/// The token in the file that `entry` names, relative to the folder of the configuration. A line break at
+/// the end does not belong to it.
 pub(super) fn token_file(entry: &Entry<'_>) -> Option<Token> {
     let path = secret::path(entry)?;
-    let write = || format!("write one: {}", secret::make(&path, "openssl rand -hex 16"));
-    // One octet more than a token and its line break have.
+    let write = || format!("make one: {}", secret::make(&path, "openssl rand -hex 16"));
+    // One octet more than the longest token with its line break.
     let mut octets = Zeroizing::new([0; *Token::LEN.end() + 3]);
     let read = secret::open(&path).and_then(|mut file| {
         let unreadable =

@@ -1,8 +1,8 @@
-//! Reading TOML key by key: a [`Section`] is a table, an [`Entry`] is what stands (or does not
-//! stand) at one of its keys.
+//! Reads TOML key by key: a [`Section`] is a table, an [`Entry`] is the value at one of its keys, which
+//! may be absent.
 //!
-//! A value that cannot be read is noted as a fault and reads as absent, so that what follows is
-//! still checked. [`Section::finish`] refuses the keys that nobody asked for.
+//! A value that cannot be read is reported as a fault and then counts as absent, so that everything else
+//! is still checked. [`Section::finish`] refuses the keys that were not asked for.
 
 use std::fmt::Display;
 use std::ops::RangeInclusive;
@@ -15,17 +15,17 @@ use toml::de::{DeInteger, DeTable, DeValue};
 use super::report::{MISSING, Report, SourceSpan, Unknown, quoted, shortened};
 use crate::pnet::wire::SECURE_PORT;
 
-/// The longest time a setting can name: far beyond use, and safe to add to a clock.
+/// The longest time in a setting: more than anybody needs, and safe to add to a clock.
 pub(super) const LONGEST: Duration = Duration::from_secs(24 * 60 * 60);
 
-/// No key that there is has more octets.
+/// The most octets of a key.
 const LONGEST_KEY: usize = 63;
 
-/// A table of the file, or one that is left out and so has no keys.
+/// A table of the file; one that is left out has no keys.
 #[derive(Debug)]
 pub(super) struct Section<'a> {
     pub(super) place: SourceSpan,
-    /// As the file has it: `[public]`, `[[server.password]]`; of the whole document, empty.
+    /// As written in the file: `[public]`, `[[server.password]]`; empty for the whole document.
     header: String,
     table: Option<&'a DeTable<'a>>,
     known: Vec<&'static str>,
@@ -39,7 +39,7 @@ impl<'a> Section<'a> {
         Self { place, header: String::new(), table: Some(table), known: Vec::new(), report }
     }
 
-    /// The value at `key`; `example` is one that would do, as TOML.
+    /// The value at `key`; `example` is a valid one, written as TOML.
     pub(super) fn key(&mut self, key: &'static str, example: &'static str) -> Entry<'a> {
         self.known.push(key);
         let found = self.table.and_then(|table| table.get_key_value(key));
@@ -83,7 +83,7 @@ impl<'a> Section<'a> {
 }
 
 fn closest(name: &str, known: &[&'static str]) -> Option<&'static str> {
-    // What is far longer than any key is none that was mistyped.
+    // A name that is far longer than any key is not a mistyped key.
     if name.len() > LONGEST_KEY {
         return None;
     }
@@ -118,7 +118,7 @@ impl<'a> Entry<'a> {
         self.report.warn(&self.place, problem.into(), remedy.into());
     }
 
-    /// Notes a fault when the key is left out.
+    /// Reports a fault when the key is left out.
     pub(super) fn required(self) -> Self {
         if self.is_absent() {
             self.fault(MISSING, format!("add `{} = {}`", self.key, self.example));
@@ -134,7 +134,7 @@ impl<'a> Entry<'a> {
         self.expect("a text in quotes", DeValue::as_str)
     }
 
-    /// A text that is written the way `T` reads it.
+    /// A text that `T` can be parsed from.
     pub(super) fn parse<T: FromStr<Err: Display>>(&self) -> Option<T> {
         self.parse_with(str::parse)
     }
@@ -168,7 +168,7 @@ impl<'a> Entry<'a> {
         Some(duration)
     }
 
-    /// The values of a list, which must have some.
+    /// The values of a list, which must not be empty.
     pub(super) fn list(&self) -> Vec<Self> {
         let Some(list) = self.expect("a list in brackets", DeValue::as_array) else {
             return Vec::new();
@@ -184,18 +184,21 @@ impl<'a> Entry<'a> {
         self.value.is_some()
     }
 
-    /// Whether this value is a whole number, where other kinds would do as well.
+    /// Whether this value is a whole number, for keys that allow other kinds too.
     pub(super) fn is_integer(&self) -> bool {
         self.value.is_some_and(|value| value.get_ref().is_integer())
     }
 
-    /// The one table with this name; when it is left out, one without keys.
+    /// The one table with this name; if it is left out, a table without keys.
     pub(super) fn section(self) -> Section<'a> {
         let header = format!("[{}]", self.key);
         let table = self.value.and_then(|value| match value.get_ref() {
             DeValue::Table(table) => Some(table),
             DeValue::Array(list) => {
-                self.fault("can be there only once", format!("write its header as {header}"));
+                self.fault(
+                    "this section can appear only once",
+                    format!("write its header as {header}"),
+                );
                 list.iter().find_map(|value| value.get_ref().as_table())
             }
             other => {
@@ -206,7 +209,7 @@ impl<'a> Entry<'a> {
         Section { place: self.place, header, table, known: Vec::new(), report: self.report }
     }
 
-    /// The tables with this name, which may be several or none; nothing when it is something else.
+    /// The tables with this name, possibly none. Returns none at all when the value is no table.
     pub(super) fn sections(&self) -> Option<Vec<Section<'a>>> {
         let Some(value) = self.value else { return Some(Vec::new()) };
         let header = format!("[[{}]]", without_indices(&self.place.key));
@@ -218,7 +221,7 @@ impl<'a> Entry<'a> {
                 Some(elements.filter_map(table).collect())
             }
             DeValue::Table(_) => {
-                self.fault("there may be several, so each needs double brackets", remedy.clone());
+                self.fault("there can be several, so each needs double brackets", remedy.clone());
                 Some(table(self.element(0, value)).into_iter().collect())
             }
             other => {
@@ -275,13 +278,13 @@ impl<'a> Entry<'a> {
         self.fault(format!("expected {expected}, found {found}"), remedy);
     }
 
-    /// The port of the example, or P-NET's own.
+    /// The port of the example, or P-NET's Secure port.
     pub(super) fn example_port(&self) -> u16 {
         let example = self.example.trim_matches('"').parse::<std::net::SocketAddr>();
         example.map_or(SECURE_PORT, |example| example.port())
     }
 
-    /// What to write instead.
+    /// A remedy: what to write instead.
     pub(super) fn like(&self) -> String {
         format!("write it like `{} = {}`", self.key, self.example)
     }

@@ -189,7 +189,7 @@ fn refuses_addresses_and_ports_that_cannot_be() {
         ("= 40000", "= 0", 6, "udp_range_net[0].start_port", "out of bounds"),
         ("= 40000", "= 70000", 6, "udp_range_net[0].start_port", "out of bounds"),
         ("17.0\"", "17.1\"", 7, "udp_range_net[0].subnet", "172.17.17.0"),
-        ("172.17.17.0", "224.0.1.0", 7, "udp_range_net[0].subnet", "no host"),
+        ("172.17.17.0", "224.0.1.0", 7, "udp_range_net[0].subnet", "not a host address"),
         ("172.17.17.0", "fd00::", 7, "udp_range_net[0].subnet", "cannot be read"),
         ("nodes =", "server_port = 0\nnodes =", 8, "udp_range_net[0].server_port", "out of bounds"),
         // R-4
@@ -258,12 +258,12 @@ fn refuses_addresses_with_what_to_write_instead() {
         listen("224.0.0.1", "224.0.0.1 is a multicast group"),
         listen("ff02::1", "ff02::1 is a multicast group"),
         listen("::ffff:224.0.0.1", "224.0.0.1 is a multicast group"),
-        listen("255.255.255.255", "255.255.255.255 is no address of a host"),
-        listen("240.0.0.1", "no address of a host"),
-        listen("0.1.2.3", "no address of a host"),
+        listen("255.255.255.255", "255.255.255.255 is not a host address"),
+        listen("240.0.0.1", "not a host address"),
+        listen("0.1.2.3", "not a host address"),
         server(
             "[fe80::7]:34379",
-            "add the interface's number, which `ip link` tells: \"[fe80::7%2]",
+            "add the interface's number, which `ip link` shows: \"[fe80::7%2]",
         ),
         server("[fe80::7%eth0]:34379", "the zone is the interface's number"),
         server("[fd00::7%2]:34379", "write \"[fd00::7]:34379\""),
@@ -329,18 +329,20 @@ fn warns_of_clients_that_no_listener_hears() {
     let (range, server) = ("udp_range_net[0].allow", "server[0].allow");
     let both = "\"0.0.0.0\", \"::\"";
     assert_eq!(told(both, "\"0.0.0.0/0\", \"::/0\""), [""; 0]);
-    let expected = "no IPv4 client can come, for `[public] listen` has IPv4 nowhere";
+    let expected = "no IPv4 client can reach the relay: `[public] listen` has no IPv4 address";
     assert_eq!(
         told("\"::\"", "\"2001:db8::/32\", \"198.51.100.0/24\", \"203.0.113.0/24\""),
         [format!("{range}[1]: {expected}"), format!("{server}[0]: {expected}")]
     );
     assert_eq!(
         told("\"192.0.2.1\"", "\"0.0.0.0/0\", \"::/0\""),
-        [format!("{range}[1]: no IPv6 client can come, for `[public] listen` has IPv6 nowhere")]
+        [format!(
+            "{range}[1]: no IPv6 client can reach the relay: `[public] listen` has no IPv6 address"
+        )]
     );
     assert_eq!(
         told(both, "\"0.0.0.0/0\""),
-        ["public.listen[1]: nobody can come by ::, for no `allow` has IPv6 networks"]
+        ["public.listen[1]: no client can use ::, since no `allow` has IPv6 networks"]
     );
 }
 
@@ -436,7 +438,7 @@ fn a11_refuses_password_files_that_are_not_8_private_octets() {
     refuses(&[
         ("secrets/a", "secrets/seven", 12, file, "has 7 octets"),
         ("secrets/a", "secrets/nine", 12, file, "more than the 8 octets"),
-        ("secrets/a", "secrets/newline", 12, file, "take it away: `truncate --size=8 "),
+        ("secrets/a", "secrets/newline", 12, file, "remove it: `truncate --size=8 "),
         ("secrets/a", "secrets/for-group", 12, file, "run `chmod 600 "),
         ("secrets/a", "secrets/for-others", 12, file, "mode 604"),
         ("secrets/a", "secrets/absent", 12, file, "secrets/absent\" cannot be read"),
@@ -616,7 +618,7 @@ fn a_file_that_cannot_be_read_is_a_fault_too() {
     let binary = folder.path().join("binary.toml");
     fs::write(&binary, b"[public]\n\xff").unwrap();
     let binary = load(&binary).unwrap_err();
-    assert!(binary.to_string().contains("binary.toml:2: not UTF-8"), "{binary}");
+    assert!(binary.to_string().contains("binary.toml:2: is not UTF-8"), "{binary}");
 }
 
 #[test]

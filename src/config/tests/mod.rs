@@ -1,4 +1,4 @@
-//! What a sound configuration becomes, and that no text at all upsets the reader.
+//! What a sound configuration becomes, and that no text makes the reader panic.
 //!
 //! Tests start from [`SOUND`], which stands in a folder with password files. What is refused is in
 //! `faults`; that the annotated configuration tells the truth, in `reference`.

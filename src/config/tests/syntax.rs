@@ -91,7 +91,7 @@ fn values_without_quotes_are_shown_with_them() {
         (
             "node = 7",
             "node = 7\nallow_without_password = yes",
-            "c.toml:19: server[0].allow_without_password: the value cannot be read; write it so: \
+            "c.toml:19: server[0].allow_without_password: the value cannot be read; write it like this: \
              allow_without_password = true",
         ),
         (
@@ -103,7 +103,7 @@ fn values_without_quotes_are_shown_with_them() {
         (
             "node = 7",
             "node: 7,",
-            "c.toml:18: server[0].node: the value cannot be read; write it so: node = 7",
+            "c.toml:18: server[0].node: the value cannot be read; write it like this: node = 7",
         ),
     ] {
         assert_eq!(told_of(from, to), [expected], "{to}");
@@ -135,7 +135,7 @@ fn blocks_in_the_wrong_order_are_named_with_their_lines() {
     }
     assert_eq!(
         told("[server]\nname = \"b\"\n[[server]]\nname = \"c\"\n"),
-        ["c.toml:3: server: [server] in line 1 is written otherwise; write both as [[server]]"]
+        ["c.toml:3: server: [server] in line 1 is written differently; write both as [[server]]"]
     );
     assert_eq!(
         told("[limits]\nmax_flows = 5\n[public]\n[limits]\nmax_flows = 6\n"),
@@ -174,8 +174,8 @@ fn signs_that_nobody_sees_are_named() {
     assert!(read(&format!("\u{feff}{SOUND}")).is_ok(), "the mark at the beginning is common");
     let unseen = |line, place, code| {
         format!(
-            "c.toml:{line}: character {place} of the line is one that nobody sees (U+{code}); delete \
-             it, or type a plain blank in its place"
+            "c.toml:{line}: character {place} of the line is invisible (U+{code}); delete it, or \
+             replace it with a plain space"
         )
     };
     assert_eq!(told_of("[[server]]", "\u{feff}[[server]]"), [unseen(14, 1, "FEFF")]);
