@@ -1,8 +1,9 @@
-//! Who is answered: holders of the token, and where there is none, whoever is not a web page of
-//! somebody else's.
+//! Who gets an answer. With a token, only requests that carry it. Without one, every request that does
+//! not come from a web page of another site.
 //!
-//! Probes are always answered: they tell nothing, and nobody hands a probe a token. Nor does a browser
-//! send one with a page, so the status page comes without; it asks its reader for the token.
+//! Probes are always answered: they reveal nothing, and probes seldom have a token. The files of the
+//! status page need no token either, since a browser sends none when it loads a page. The page asks the
+//! user for the token.
 
 use axum::extract::{Request, State};
 use axum::http::header::{
@@ -17,8 +18,8 @@ use axum::response::{IntoResponse, Response};
 use super::{Shared, page};
 use crate::config::Admin;
 
-/// Said with every answer: a page from here loads and is shown nowhere but here, and nothing of it
-/// is kept or passed on.
+/// Sent with every answer: our pages load nothing from other sites and cannot be shown inside them, and
+/// nothing is cached.
 const HEADERS: [(HeaderName, &str); 5] = [
     (
         CONTENT_SECURITY_POLICY,
@@ -30,7 +31,7 @@ const HEADERS: [(HeaderName, &str); 5] = [
     (CACHE_CONTROL, "no-store"),
 ];
 
-/// Hands on what may be answered, and refuses the rest.
+/// Passes a request on, or refuses it.
 pub(super) async fn control(
     State(shared): State<Shared>,
     request: Request,
@@ -50,7 +51,7 @@ pub(super) async fn control(
     response
 }
 
-/// Why a request is not answered.
+/// Why a request is refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Refusal {
     Token,
@@ -68,10 +69,13 @@ impl IntoResponse for Refusal {
                 (StatusCode::UNAUTHORIZED, challenge, text).into_response()
             }
             Self::Host => {
-                let text = "Ask by IP address or as localhost, or set [admin] token_file.\n";
+                let text =
+                    "Use the IP address or localhost in the URL, or set [admin] token_file.\n";
                 (StatusCode::MISDIRECTED_REQUEST, text).into_response()
             }
-            Self::Origin => (StatusCode::FORBIDDEN, "Not from another site.\n").into_response(),
+            Self::Origin => {
+                (StatusCode::FORBIDDEN, "Requests from other sites are refused.\n").into_response()
+            }
         }
     }
 }
@@ -93,9 +97,9 @@ fn admit(admin: &Admin, request: &Request) -> Result<(), Refusal> {
     if open || given.is_some() { Ok(()) } else { Err(Refusal::Token) }
 }
 
-/// A browser on this host sends what any page it shows makes it send. A page can have its own name
-/// resolved to this host, but not leave its name out of `Host`; and it cannot hide that it is its
-/// own when it makes a change.
+/// A browser on this host sends whatever a page makes it send. The owner of a page can let the page's
+/// host name resolve to this host, but the browser still sends that name in `Host`. And with a request
+/// that changes something, the browser sends the page's `Origin`.
 fn refuse_other_sites(method: &Method, headers: &HeaderMap) -> Result<(), Refusal> {
     let host = headers.get(HOST).map(|host| host.to_str().unwrap_or_default());
     if !host.is_none_or(is_own) {
@@ -109,7 +113,7 @@ fn refuse_other_sites(method: &Method, headers: &HeaderMap) -> Result<(), Refusa
     Ok(())
 }
 
-/// Whether a host is no name that a stranger can have registered.
+/// Whether a host is one that no stranger can have registered: an IP address or `localhost`.
 fn is_own(host: &str) -> bool {
     let Ok(authority) = host.parse::<Authority>() else { return false };
     let host = authority.host().trim_start_matches('[').trim_end_matches(']');

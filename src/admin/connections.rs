@@ -1,8 +1,7 @@
-//! The open connections of the admin server: as many as there may be, and a newcomer always has
-//! its turn.
+//! The open connections of the admin server. Their number is limited, but a new one is always accepted.
 //!
-//! When they are too many, the oldest connection of whoever has most of them is cut. So a client
-//! that takes all it can get takes it from itself, and a probe is not kept waiting.
+//! When there are too many, the oldest connection of the client with the most is cut. So a client that
+//! opens many connections only cuts its own, and a probe does not wait.
 
 use std::collections::{HashMap, VecDeque};
 use std::net::{IpAddr, Ipv6Addr};
@@ -11,7 +10,7 @@ use std::time::Duration;
 use tokio::task::{AbortHandle, JoinSet};
 use tokio::time::timeout;
 
-/// Connections served at once: of the descriptors that are kept for all but the data path.
+/// Connections at once. They use the file descriptors that the datapath leaves free.
 pub(super) const MOST: usize = 96;
 
 #[derive(Debug, Default)]
@@ -22,7 +21,7 @@ pub(super) struct Connections {
 }
 
 impl Connections {
-    /// Serves a new connection; cuts another one when there are too many.
+    /// Serves a new connection, and cuts another one if there are too many.
     pub(super) fn add(&mut self, from: IpAddr, serving: impl Future<Output = ()> + Send + 'static) {
         while self.tasks.try_join_next().is_some() {}
         self.open.retain(|(_, task)| !task.is_finished());
@@ -34,12 +33,12 @@ impl Connections {
         self.open.push_back((source(from), self.tasks.spawn(serving)));
     }
 
-    /// Lets the open ones end, for so long at most.
+    /// Waits until the open ones end, but no longer than `grace`.
     pub(super) async fn close(mut self, grace: Duration) {
         let _ = timeout(grace, async { while self.tasks.join_next().await.is_some() {} }).await;
     }
 
-    /// The oldest connection of the source that has most.
+    /// The oldest connection of the source with the most.
     fn greediest(&self) -> Option<usize> {
         let mut count = HashMap::new();
         for (source, _) in &self.open {
@@ -50,7 +49,7 @@ impl Connections {
     }
 }
 
-/// Of IPv6 the /64: whoever has one address of it has them all.
+/// The address, or the /64 of an IPv6 address: who has one address of a /64 has them all.
 fn source(address: IpAddr) -> IpAddr {
     match address.to_canonical() {
         IpAddr::V6(v6) => Ipv6Addr::from_bits(v6.to_bits() & !u128::from(u64::MAX)).into(),

@@ -1,8 +1,8 @@
-//! The admin server: metrics, health, and a read-only API, for people and machines that watch.
+//! The admin server: metrics, health, a status page and an API for people and monitoring.
 //!
-//! It changes nothing, apart from a reload where the configuration allows one. One request a
-//! connection, a bound on connections, time and buffers, and answers made piece by piece as they are
-//! read: whatever its clients do, the data path goes on, and a probe is answered.
+//! It only reads, except for a reload where the configuration allows one. Whatever its clients do, the
+//! datapath goes on and a probe is answered: a connection has one request, the number of connections, the
+//! time and the buffers are limited, and an answer is made piece by piece as it is read.
 
 mod access;
 mod api;
@@ -44,22 +44,22 @@ use connections::Connections;
 use scrape::Scrapes;
 use turn::Turn;
 
-/// From accepting a connection to having its request.
+/// The longest time from accepting a connection until its request is complete.
 const HEADER_TIME: Duration = Duration::from_secs(2);
-/// How long a reader may take no octet of an answer.
+/// How long a client may go without reading an octet of its answer.
 const STILL_TIME: Duration = Duration::from_secs(10);
-/// From accepting a connection to the last octet of the answer, for a reader that is slow.
+/// The longest time from accepting a connection to the last octet of the answer.
 const CONNECTION_TIME: Duration = Duration::from_secs(600);
-/// Octets that may wait in the kernel beside those that are under way: a reader's pace is seen.
+/// How many octets may wait unsent in the kernel. With few, it shows how fast a client reads.
 const UNSENT: u32 = 16 * 1024;
-/// Octets that a request may have, and about the octets of answer that wait for a slow reader.
+/// The largest request in octets, and about how much of an answer waits for a slow client.
 const BUFFER: usize = 16 * 1024;
-/// How long a stopping server lets open requests end.
+/// How long a stopping server waits for open requests.
 const GRACE: Duration = Duration::from_secs(1);
-/// How long not to accept after the system refused: out of file descriptors, most likely.
+/// How long to wait after a failed accept; most likely there are no file descriptors left.
 const ACCEPT_PAUSE: Duration = Duration::from_secs(1);
 
-/// What there is, and what it is for.
+/// The paths, and what each is for.
 const ROUTES: [(&str, &str); 10] = [
     ("/", "the status page, for browsers"),
     ("/metrics", "for Prometheus"),
@@ -73,8 +73,8 @@ const ROUTES: [(&str, &str); 10] = [
     ("/api/v1/config", "the configuration in force, without passwords"),
 ];
 
-/// Answers requests until `shutdown` is done; then lets the open ones end, for a second at most.
-/// `reloader` is what brings a configuration file into force, where there is one.
+/// Answers requests until `shutdown` completes, then waits up to a second for the open ones. Without
+/// `reloader` there is no configuration file to reload.
 pub async fn serve(
     listener: TcpListener,
     router: Arc<Router>,
@@ -90,10 +90,10 @@ pub async fn serve(
                 Ok((stream, from)) => {
                     let routes = routes.clone();
                     connections.add(from.ip(), async move {
-                        // A client that is too slow or gone is its own affair.
+                        // Nobody needs to know that a client was too slow or went away.
                         let _ = timeout(CONNECTION_TIME, answer(stream, routes)).await;
                     });
-                    // Connections that were cut are closed before others are accepted.
+                    // Lets connections that were cut close before the next one is accepted.
                     yield_now().await;
                 }
                 Err(error) => pause_after(&error).await,
@@ -138,7 +138,7 @@ pub fn routes(router: Arc<Router>, reloader: Option<Reloader>, sandbox: Sandbox)
         .with_state(shared)
 }
 
-/// What the handlers work from.
+/// What the handlers share.
 #[derive(Clone)]
 struct Shared {
     router: Arc<Router>,
@@ -151,7 +151,7 @@ struct Shared {
 }
 
 async fn answer(stream: TcpStream, routes: axum::Router) -> hyper::Result<()> {
-    // Without it a slow reader is cut a little early.
+    // If this fails, a slow client is cut a little early.
     let _ = SockRef::from(&stream).set_tcp_notsent_lowat(UNSENT);
     let mut stream = TimeoutStream::new(stream);
     stream.set_write_timeout(Some(STILL_TIME));
@@ -182,7 +182,7 @@ async fn reload(State(shared): State<Shared>) -> Response {
     let in_force = shared.router.in_force();
     let allowed = in_force.config.admin.as_ref().is_some_and(|admin| admin.reload);
     let Some(reloader) = shared.reloader.filter(|_| allowed) else {
-        let message = "switched off; send SIGHUP, or set [admin] reload = true first\n";
+        let message = "reload over HTTP is off; send SIGHUP, or set [admin] reload = true first\n";
         return (StatusCode::FORBIDDEN, message).into_response();
     };
     drop(in_force);
@@ -196,5 +196,5 @@ async fn reload(State(shared): State<Shared>) -> Response {
 async fn not_found() -> Response {
     let line = |(path, what)| format!("{path}  {what}\n");
     let routes: String = ROUTES.into_iter().map(line).collect();
-    (StatusCode::NOT_FOUND, format!("Nothing here. There is:\n{routes}")).into_response()
+    (StatusCode::NOT_FOUND, format!("Nothing here. The paths are:\n{routes}")).into_response()
 }

@@ -1,10 +1,10 @@
-//! The status page: three files and an icon, the same for everybody. What it shows it gets from the
-//! API, as its reader may.
+//! The status page: three files and an icon, the same for everybody. All it shows comes from the API,
+//! with the token of its user.
 
 use axum::http::header::CONTENT_TYPE;
 use axum::response::{Html, IntoResponse};
 
-/// Where its files are.
+/// The paths of its files.
 pub(super) const PATHS: [&str; 4] = ["/", "/status.js", "/status.css", "/status.svg"];
 
 /// `GET /`

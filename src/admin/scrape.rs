@@ -1,8 +1,8 @@
-//! `/metrics`: one text for all who ask for it at the same time.
+//! `/metrics`: one text for all scrapes that run at the same time.
 //!
-//! A large table makes tens of megabytes, so a text is made once for all scrapes that run together,
-//! and kept compressed: a thirtieth of that. Who does not understand gzip gets it unpacked, piece by
-//! piece. A scrape that begins when a text is finished gets a new one.
+//! A large table makes tens of megabytes. So the text is made once for all scrapes that run together, and
+//! kept compressed, which takes a thirtieth. A client without gzip gets it unpacked piece by piece. A
+//! scrape that begins after a text is complete gets a new one.
 
 use std::collections::VecDeque;
 use std::io::{self, Write};
@@ -23,9 +23,9 @@ use super::Shared;
 use super::turn::Turn;
 use crate::observe::metrics::{self, Metrics};
 
-/// About the octets of text in a piece: what is compressed, or unpacked, in one turn.
+/// About how many octets of text are compressed or unpacked in one turn.
 const PIECE: usize = 32 * 1024;
-/// Texts that are kept for their readers. When another one is made, who still reads the oldest is cut.
+/// How many texts are kept for slow clients. When another one is made, clients of the oldest are cut.
 pub(super) const MOST_TEXTS: usize = 8;
 
 /// `GET /metrics`
@@ -39,14 +39,14 @@ pub(super) async fn scrape(State(shared): State<Shared>, headers: HeaderMap) -> 
     (headers_of_all, reader.unpacked(shared.turn)).into_response()
 }
 
-/// The texts that somebody reads, oldest first.
+/// The texts that are being read, oldest first.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Scrapes(Arc<Mutex<VecDeque<Weak<watch::Sender<Text>>>>>);
 
-/// A text in the making, or whole.
+/// A text, complete or still growing.
 #[derive(Debug, Default)]
 struct Text {
-    /// Parts of one gzip stream, each of which can be unpacked when those before it are.
+    /// Parts of one gzip stream. Each can be unpacked after those before it.
     pieces: Vec<Bytes>,
     state: Progress,
 }
@@ -56,7 +56,7 @@ enum Progress {
     #[default]
     Growing,
     Whole,
-    /// It was given up, for others that came later.
+    /// It was dropped in favour of later ones.
     Cut,
 }
 
@@ -66,7 +66,7 @@ impl Scrapes {
         self.read(metrics, turn).compressed()
     }
 
-    /// A reader of the text that is being made; of a new one when there is none.
+    /// A reader of the text that is being made, or of a new one.
     fn read(&self, metrics: &Metrics, turn: &Turn) -> Reader {
         let mut texts = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         texts.retain(|text| text.strong_count() > 0);
@@ -86,7 +86,7 @@ impl Scrapes {
     }
 }
 
-/// Makes a text, as long as anybody reads it.
+/// Makes a text; stops when nobody reads it any more.
 async fn make(metrics: Metrics, turn: Turn, text: Weak<watch::Sender<Text>>) {
     let mut chunks = turn.take(|| metrics.chunks()).await;
     let mut encoder = GzEncoder::new(Vec::new(), Compression::fast());
@@ -125,7 +125,7 @@ impl Text {
 struct Reader {
     text: watch::Receiver<Text>,
     next: usize,
-    /// Keeps the text.
+    /// Keeps the text alive.
     _text: Arc<watch::Sender<Text>>,
 }
 
@@ -134,13 +134,13 @@ impl Reader {
         Self { text: text.subscribe(), next: 0, _text: text }
     }
 
-    /// The next piece, once there is one; none at the end. Fails when the text is given up.
+    /// Waits for the next piece; none at the end. Fails when the text was dropped.
     async fn next(&mut self) -> io::Result<Option<Bytes>> {
         let next = self.next;
         let ready = |text: &Text| text.pieces.len() > next || text.state != Progress::Growing;
         let text = self.text.wait_for(ready).await.map_err(io::Error::other)?;
         if text.state == Progress::Cut {
-            return Err(io::Error::other("others asked for it later"));
+            return Err(io::Error::other("too many later scrapes"));
         }
         self.next += 1;
         Ok(text.pieces.get(next).cloned())
@@ -175,7 +175,7 @@ fn unpack(decoder: &mut GzDecoder<Vec<u8>>, piece: &[u8]) -> io::Result<Vec<u8>>
     Ok(std::mem::take(decoder.get_mut()))
 }
 
-/// Whether an answer may be compressed, and had better be (RFC 9110, 12.5.3).
+/// Whether the client accepts gzip, and prefers it to plain text (RFC 9110, 12.5.3).
 fn takes_gzip(headers: &HeaderMap) -> bool {
     let fields = headers.get_all(ACCEPT_ENCODING).iter().filter_map(|value| value.to_str().ok());
     let codings: Vec<_> = fields.flat_map(|field| field.split(',')).map(coding).collect();
@@ -187,7 +187,7 @@ fn takes_gzip(headers: &HeaderMap) -> bool {
     gzip > 0.0 && gzip >= weight(&["identity"]).unwrap_or(0.0)
 }
 
-/// The name and weight of an element of `Accept-Encoding`; 0 for a weight that is none.
+/// The name and weight of an element of `Accept-Encoding`; an invalid weight is 0.
 fn coding(element: &str) -> (&str, f32) {
     let (name, parameters) = element.split_once(';').unwrap_or((element, ""));
     let weight = match parameters.trim().split_once('=') {

@@ -1,5 +1,5 @@
-//! Who works when: large answers are made and sent piece by piece, and between any two pieces of
-//! whichever answers the sockets are looked at. So a probe waits for one piece at most.
+//! Large answers are made piece by piece, and between two pieces of any answers the runtime looks at the
+//! sockets. So a probe waits for one piece at most.
 
 use std::sync::Arc;
 
@@ -8,21 +8,21 @@ use futures_util::stream;
 use tokio::sync::Mutex;
 use tokio::task::yield_now;
 
-/// The one turn to work on a large answer.
+/// The turn to work on a large answer; only one answer has it at a time.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Turn(Arc<Mutex<()>>);
 
 impl Turn {
-    /// Does a piece of work once it is this answer's turn.
+    /// Waits for the turn and does a piece of work.
     pub(super) async fn take<T>(&self, work: impl FnOnce() -> T) -> T {
         let _turn = self.0.lock().await;
         let done = work();
-        // Goes on only after the runtime has asked for new events and served whoever had one.
+        // Goes on only after the runtime has looked for events and handled them.
         yield_now().await;
         done
     }
 
-    /// An answer that is made piece by piece, as it is read. An error cuts it off.
+    /// A body that is made piece by piece as the client reads it. An error cuts it off.
     pub(super) fn body<P, E>(
         &self,
         pieces: impl Iterator<Item = Result<P, E>> + Send + 'static,
@@ -46,7 +46,7 @@ mod tests {
 
     use super::*;
 
-    /// However many answers are made, whoever does something else gets on after each piece.
+    /// However many answers are made, other tasks run after each piece.
     #[tokio::test]
     async fn between_two_pieces_others_get_on() {
         let turn = Turn::default();

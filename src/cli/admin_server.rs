@@ -1,8 +1,8 @@
 //! How commands ask a relay's admin server: one request on a connection of its own, without the
 //! environment's proxies and without following redirects.
 //!
-//! No thread is needed, or only one for a name that a name server has to be asked for. So the commands
-//! work also where the system has no thread left.
+//! Only a host name that a name server must resolve needs another thread. So the commands work even when
+//! the system has no threads left.
 
 use std::fs;
 use std::io;
@@ -53,8 +53,7 @@ pub(super) struct AdminServer {
 }
 
 impl AdminServer {
-    /// The one that `options` name, or else the one at `listen`, which wants the token in
-    /// `token_file`.
+    /// The server that `options` name, or the one at `listen` with the token in `token_file`.
     pub(super) fn new(
         options: &Options,
         listen: SocketAddr,
@@ -67,7 +66,7 @@ impl AdminServer {
         Ok(Self { url: url.trim_end_matches('/').to_owned(), token, answer_time })
     }
 
-    /// The object that the API has at this path.
+    /// The JSON object at a path of the API.
     pub(super) async fn get(&self, path: &str) -> anyhow::Result<Map<String, Value>> {
         let url = format!("{}{path}", self.url);
         let (status, text) = self.ask(Method::GET, path, self.answer_time).await?;
@@ -85,7 +84,7 @@ impl AdminServer {
         }
     }
 
-    /// Any answer.
+    /// Any answer, also one that refuses.
     pub(super) async fn ask(
         &self,
         method: Method,
@@ -101,7 +100,7 @@ impl AdminServer {
         })
     }
 
-    /// What to say of an answer that no relay gives.
+    /// The message when an answer is not the API's.
     pub(super) fn no_api(&self) -> String {
         format!("{} is not the API of a pnet-nat", self.url)
     }
@@ -117,15 +116,17 @@ fn token(path: &Path) -> anyhow::Result<HeaderMap> {
     Ok(HeaderMap::from_iter([(AUTHORIZATION, value)]))
 }
 
-/// Asks for a URL; fails when there is no whole answer in time.
+/// Sends a request; fails when the answer is not complete in time.
 pub(super) async fn ask(
     method: Method,
     url: &str,
     headers: &HeaderMap,
     answer_time: Duration,
 ) -> anyhow::Result<(StatusCode, String)> {
-    let late = || format!("it took longer than {}", humantime::format_duration(answer_time));
-    timeout(answer_time, exchange(method, url, headers)).await.with_context(late)?
+    match timeout(answer_time, exchange(method, url, headers)).await {
+        Ok(answer) => answer,
+        Err(_) => bail!("it took more than {}", humantime::format_duration(answer_time)),
+    }
 }
 
 async fn exchange(
@@ -152,8 +153,8 @@ async fn exchange(
     Ok((answer.status, String::from_utf8_lossy(&text).into_owned()))
 }
 
-/// The addresses of a host. A name server may take longer than there is time, so a thread waits for
-/// it, if the system has one.
+/// The addresses of a host. A name server may take longer than the answer time, so another thread waits
+/// for it; without one, this thread waits.
 async fn look_up(host: &str, port: u16) -> io::Result<Vec<SocketAddr>> {
     let host = host.trim_matches(['[', ']']).to_owned();
     let is_known = is_known(&host);
@@ -164,7 +165,7 @@ async fn look_up(host: &str, port: u16) -> io::Result<Vec<SocketAddr>> {
     let (reply, found) = oneshot::channel();
     let here = look_up.clone();
     let in_thread = move || {
-        // Who asked may have gone.
+        // The receiver is gone after a timeout.
         let _ = reply.send(look_up());
     };
     match thread::start("names", in_thread) {
@@ -173,7 +174,7 @@ async fn look_up(host: &str, port: u16) -> io::Result<Vec<SocketAddr>> {
     }
 }
 
-/// Whether no name server is asked for this host.
+/// Whether this host is resolved without a name server.
 fn is_known(host: &str) -> bool {
     host.parse::<IpAddr>().is_ok() || host.eq_ignore_ascii_case("localhost")
 }

@@ -1,6 +1,6 @@
-//! `pnet-nat check`: every fault of a configuration, or what the router would do with it.
+//! `pnet-nat check`: every fault of a configuration, or the NAT table that it results in.
 //!
-//! Opens no socket of the relay. Faults and warnings go to stderr, tables to stdout.
+//! Opens none of the relay's ports. Faults and warnings go to stderr, tables to stdout.
 
 use std::io::Write;
 use std::net::{IpAddr, SocketAddr};
@@ -17,14 +17,14 @@ use crate::config::{self, Config, Warning};
 use crate::nat::{Mapping, Net, NetKind};
 use crate::sandbox::{self, User, UserError};
 
-/// Find every fault of a configuration, or show the NAT table and the clients' IPNetTable rows.
+/// Check a configuration: show every fault, or the NAT table and the clients' IPNetTable rows.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:  pnet-nat check --config /etc/pnet-nat/pnet-nat.toml")]
 pub(super) struct Args {
-    /// The configuration; config/pnet-nat.toml explains every key.
+    /// The configuration file; config/pnet-nat.toml explains every key.
     #[arg(long, value_name = "FILE", env = "PNET_NAT_CONFIG")]
     config: PathBuf,
-    /// One line for each node, instead of one for each run of consecutive nodes.
+    /// Show one line for each node, instead of one for each run of consecutive nodes.
     #[arg(long, env = "PNET_NAT_FULL", value_parser = BoolishValueParser::new())]
     full: bool,
 }
@@ -46,8 +46,8 @@ pub(super) fn run(args: Args) -> anyhow::Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// Reads it as the relay would: without root's power over other users' files, and with the rights of
-/// `[runtime] user`.
+/// Reads it as the relay would: with the rights of `[runtime] user`, and without root's right to read any
+/// file.
 fn read(path: &Path) -> Result<(Config, Vec<Warning>), ExitCode> {
     let _prepared = sandbox::prepare();
     let text = told(config::read_text(path))?;
@@ -60,7 +60,7 @@ fn read(path: &Path) -> Result<(Config, Vec<Warning>), ExitCode> {
         Ok(read) => read,
         Err(UserError::NotRoot(user)) => {
             complain(format_args!(
-                "warning: only root can find out whether {user:?} may read the files; check as root"
+                "warning: whether {user:?} may read the files is not checked; only root can: run check as root"
             ));
             load(path)
         }
@@ -73,7 +73,7 @@ fn summary(config: &Config, full: bool) -> String {
     let remarks = remarks_on_servers(config).chain(remarks_on_clients(config));
     let remarks: Vec<_> = remarks.map(|remark| remark + "\n").collect();
     format!(
-        "Sound. The NAT table, on {}:\n\n{}\n\n\
+        "The configuration has no faults. The NAT table, on {}:\n\n{}\n\n\
          What a remote client enters in its IPNetTable:\n\n{}\n\n\
          Router: the node address of the router on the client's own net, as the client has it.\n{}",
         listen.join(", "),
@@ -83,7 +83,7 @@ fn summary(config: &Config, full: bool) -> String {
     )
 }
 
-/// PAS 5.2.6: which public port stands for which server.
+/// PAS 5.2.6: the public port of each server.
 fn nat_table(config: &Config, full: bool) -> Table {
     let mut table = plain_table(["Public port", "Server", "Node", "Net"]);
     let follows =
@@ -119,7 +119,7 @@ fn ip_net_table(config: &Config) -> Table {
     table
 }
 
-/// The UDPPort of each net's row: public port - node address (R-10), if there is such a port.
+/// The UDPPort of each net's row: public port - node address (R-10); none if that is no port.
 fn udp_ports(config: &Config) -> impl Iterator<Item = (&Net, Option<u16>)> {
     let nets = config.table.mappings().chunk_by(|a, b| a.net == b.net);
     nets.map(|mappings| {
@@ -134,14 +134,15 @@ fn remarks_on_servers(config: &Config) -> impl Iterator<Item = String> {
         let name = &config.table.net(mapping.net).name;
         let (port, node) = (mapping.public_port, mapping.node_address);
         if port > node.into() {
-            format!("{name}: its row reaches node {node} alone.")
+            format!("{name}: its row reaches only node {node}.")
         } else {
-            format!("{name}: no row reaches node {node}, for public port {port} is too low.")
+            format!("{name}: no row reaches node {node}, because public port {port} is too low.")
         }
     })
 }
 
-/// Clients inside a net's own subnet, to whom a wider network of its `allow` does not apply.
+/// Nets whose `allow` includes the net's own subnet, but only in a wider network: that does not let in
+/// clients inside the subnet.
 fn remarks_on_clients(config: &Config) -> impl Iterator<Item = String> {
     let nets = config.table.mappings().chunk_by(|a, b| a.net == b.net);
     nets.filter_map(|mappings| {
@@ -156,7 +157,7 @@ fn remarks_on_clients(config: &Config) -> impl Iterator<Item = String> {
         let is_named = net.allow.iter().any(|allowed| subnet.contains(allowed));
         (!is_named).then(|| {
             format!(
-                "{}: {wider} lets no client in from the plant's own subnet; where there are some, \
+                "{}: {wider} does not let in clients from the plant's own subnet; if there are some, \
                  add \"{subnet}\" to `allow`.",
                 net.name
             )
@@ -176,7 +177,7 @@ fn span<T: PartialEq + ToString>(first: T, last: T) -> String {
     if single { first } else { format!("{first}-{last}") }
 }
 
-/// `172.17.17.1-4:34379`: consecutive servers differ in their last octet.
+/// Consecutive servers, which differ in their last octet: `172.17.17.1-4:34379`.
 fn servers(first: SocketAddr, last: SocketAddr) -> String {
     match (first.ip(), last.ip()) {
         (IpAddr::V4(from), IpAddr::V4(to)) if from != to => {

@@ -1,5 +1,5 @@
-//! `pnet-nat completions` and `pnet-nat man`: what a shell and `man` know of the command line,
-//! written from the command line itself. Packages install it.
+//! `pnet-nat completions` and `pnet-nat man`: shell completions and manual pages, generated from the
+//! command line's own definition. Packages install them.
 
 use std::fs;
 use std::io::Write;
@@ -13,11 +13,11 @@ use clap_complete::Shell;
 use super::Cli;
 use super::output::out;
 
-/// Print what a shell needs to complete commands and options.
+/// Print the completion script of a shell.
 #[derive(Debug, clap::Args)]
 #[command(
     after_help = "Example:  pnet-nat completions bash > ~/.local/share/bash-completion/completions/pnet-nat\n\
-    Packages put it into /usr/share: bash-completion/completions/pnet-nat,\n\
+    Packages install it in /usr/share: bash-completion/completions/pnet-nat,\n\
     zsh/vendor-completions/_pnet-nat, fish/vendor_completions.d/pnet-nat.fish."
 )]
 pub(super) struct Completions {
@@ -28,9 +28,9 @@ pub(super) struct Completions {
 /// Write a manual page for each command into a folder.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:  pnet-nat man ~/.local/share/man/man1\n\
-    Packages put the pages into /usr/share/man/man1.")]
+    Packages install the pages in /usr/share/man/man1.")]
 pub(super) struct Man {
-    /// The folder; made if it is not there.
+    /// The folder; it is made if it does not exist.
     folder: PathBuf,
 }
 
@@ -54,12 +54,12 @@ pub(super) fn man(args: &Man) -> anyhow::Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// Whether a line of a help text is an example, alone or one of several.
+/// Whether a line of a help text is an example.
 fn is_example(line: &str) -> bool {
     line.starts_with("Example:") || line.contains("  pnet-nat ")
 }
 
-/// A manual page fills its lines: each example becomes a paragraph, in one line.
+/// A manual page joins lines. So each example becomes a paragraph of its own, in one line.
 fn in_paragraphs(help: &str) -> String {
     let mut text = String::new();
     for line in help.replace("\\\n", "").lines() {

@@ -1,5 +1,5 @@
-//! `pnet-nat healthcheck`: asks a running relay whether it is ready, for containers that have no
-//! shell and no curl.
+//! `pnet-nat healthcheck`: asks a running relay whether it is ready. For containers, which have no shell
+//! and no curl.
 
 use std::io::{Write, stdout};
 use std::process::ExitCode;
@@ -10,11 +10,11 @@ use axum::http::{HeaderMap, Method, StatusCode};
 use super::admin_server::ask;
 use crate::harmless::harmless;
 
-/// Ask a running relay whether it is ready: exit 0 when it is, else 1 and a line that says why.
+/// Ask a running relay whether it is ready: exit 0 if it is, otherwise 1 and a line that says why.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:  pnet-nat healthcheck --url http://127.0.0.1:9378/-/ready")]
 pub(super) struct Args {
-    /// What to ask; host and port are those of [admin] listen.
+    /// The URL to ask; host and port are those of [admin] listen.
     #[arg(
         long,
         env = "PNET_NAT_HEALTHCHECK_URL",
@@ -43,7 +43,7 @@ pub(super) fn run(args: Args) -> anyhow::Result<ExitCode> {
         Ok((status, _)) => format!("answered {status}"),
         Err(error) => harmless(&format!("{error:#}")),
     };
-    // When nobody reads it, the exit code has to do.
+    // Nobody may read this; then the exit code is enough.
     let _ = writeln!(stdout(), "not ready: {}: {why}", args.url);
     Ok(ExitCode::FAILURE)
 }

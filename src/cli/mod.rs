@@ -1,7 +1,7 @@
-//! The command line: one file a command.
+//! The command line: a file for each command.
 //!
-//! Exit codes: 0 done, 1 failed at run time, 2 bad command line or configuration, 75 not started, but
-//! another try may succeed.
+//! Exit codes: 0 done, 1 failed at run time, 2 bad command line or configuration, 75 not started for a
+//! reason that may go away by itself.
 
 mod admin_server;
 mod check;
@@ -32,11 +32,11 @@ use crate::pnet::wire::Password;
 /// plant, checks every datagram and its password, and counts everything.
 #[derive(Parser)]
 #[command(name = "pnet-nat", version = env!("PNET_NAT_VERSION"), propagate_version = true)]
-#[command(after_help = "Try it with nothing set up:  pnet-nat demo\n\
+#[command(after_help = "To try it without any set-up:  pnet-nat demo\n\
     Exit codes: 0 done, 1 failed at run time, 2 bad command line or configuration, 75 not started \
-    because of something that may pass by itself, such as a port in use: try again.")]
+    for a reason that may go away by itself, such as a port in use: try again later.")]
 struct Cli {
-    /// How log lines are written to stderr: text, json, or auto: text on a terminal, else JSON.
+    /// Format of the log on stderr: text, json, or auto (text on a terminal, otherwise JSON).
     #[arg(
         long,
         global = true,
@@ -48,8 +48,8 @@ struct Cli {
         help_heading = LOGGING
     )]
     log_format: LogFormat,
-    /// What is logged: error, warn or info, which has the audit log [default: info for run, warn
-    /// elsewhere].
+    /// What is logged: error, warn or info; info includes the audit log [default: info for run, warn
+    /// for other commands].
     #[arg(
         long,
         global = true,
@@ -83,7 +83,7 @@ enum Command {
 /// Bad command line or configuration.
 const BAD_USE: u8 = 2;
 
-/// Not started because of something that may pass by itself (EX_TEMPFAIL of sysexits.h).
+/// Not started for a reason that may go away by itself (EX_TEMPFAIL of sysexits.h).
 const TRY_AGAIN: u8 = 75;
 
 /// Heading of the options that every command has.
@@ -102,7 +102,7 @@ pub fn main() -> ExitCode {
     }
     let usual = if service { LogLevel::Info } else { LogLevel::Warn };
     logging::init(cli.log_format, cli.log_level.unwrap_or(usual), service);
-    // Their exit code judges what was not seen to its end.
+    // The exit code of these two is a verdict, which must not be lost with the output.
     let judges = matches!(cli.command, Command::Demo(_) | Command::Request(_));
     let done = match cli.command {
         Command::Run(args) => run::run(&args),
@@ -126,17 +126,17 @@ pub fn main() -> ExitCode {
     code
 }
 
-/// Tells why a command failed, and what to exit with.
+/// Tells why a command failed and returns its exit code.
 fn failed(error: &anyhow::Error, judges: bool) -> ExitCode {
     if is_broken_pipe(error) {
-        // Whoever reads the output has seen enough of it.
+        // The reader of the output has seen enough, as with `| head`.
         return if judges { ExitCode::FAILURE } else { ExitCode::SUCCESS };
     }
     complain(format_args!("pnet-nat: {error:#}"));
     ExitCode::FAILURE
 }
 
-/// Tells what was asked of the command line itself, such as its help, or what is wrong with it.
+/// Prints what clap has to say: a help text, or what is wrong with the command line.
 fn told_by_clap(said: &clap::Error) -> ExitCode {
     match said.print() {
         Err(error) if !said.use_stderr() => failed(&output::Out::error(error).into(), false),
@@ -149,12 +149,12 @@ fn is_broken_pipe(error: &anyhow::Error) -> bool {
     io_errors.any(|error| error.kind() == ErrorKind::BrokenPipe)
 }
 
-/// Reads a configuration, or tells all of its faults and what to exit with.
+/// Reads a configuration; otherwise prints its faults and returns the exit code.
 fn load(path: &Path) -> Result<(Config, Vec<Warning>), ExitCode> {
     told(config::load(path))
 }
 
-/// What was read, or what to exit with once all faults are told.
+/// What was read; otherwise prints the faults and returns the exit code.
 fn told<T>(read: Result<T, Faults>) -> Result<T, ExitCode> {
     read.map_err(|faults| {
         let code = if faults.pass() { TRY_AGAIN } else { BAD_USE };
@@ -163,7 +163,7 @@ fn told<T>(read: Result<T, Faults>) -> Result<T, ExitCode> {
     })
 }
 
-/// The password in a file: a value parser of options.
+/// The value parser of options that name a password file.
 fn password_file(path: &str) -> anyhow::Result<Password> {
     config::read_password(path.into()).map_err(|error| anyhow!("{error}; {}", error.remedy()))
 }

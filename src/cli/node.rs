@@ -1,6 +1,6 @@
 //! `pnet-nat node`: simulated server nodes, for commissioning and tests.
 //!
-//! What a node does is in `peer::node`; here are the options, and the lines that are printed.
+//! `peer::node` is the node itself; here are the options and the printed lines.
 
 use std::io::Write;
 use std::net::Ipv4Addr;
@@ -22,7 +22,7 @@ use crate::pnet::wire::{Header, NORMAL_PORT, Password, SECURE_PORT};
 #[derive(Debug, clap::Args)]
 #[command(
     after_help = "Example:  pnet-nat node --listen 127.17.17.1-4 --password-file secrets/section-1\n\
-    Every 127.x.x.x address is this machine's own, so the example needs no set-up."
+    Every 127.x.x.x address belongs to this machine, so the example needs no set-up."
 )]
 pub(super) struct Args {
     /// Addresses of the nodes, separated by commas: 172.17.17.1 or 127.17.17.1-4; the last number
@@ -36,15 +36,15 @@ pub(super) struct Args {
     )]
     listen: Vec<AddressRange>,
 
-    /// UDP port that asks for the password.
+    /// Secure port: a UDP port that requires the password.
     #[arg(long, value_name = "PORT", default_value_t = SECURE_PORT, env = "PNET_NAT_SECURE_PORT")]
     secure_port: u16,
 
-    /// UDP port that asks for no password.
+    /// Normal port: a UDP port that requires no password.
     #[arg(long, value_name = "PORT", default_value_t = NORMAL_PORT, env = "PNET_NAT_NORMAL_PORT")]
     normal_port: u16,
 
-    /// File with exactly the 8 octets of the password, closed to others (mode 600).
+    /// File with exactly the 8 octets of the password, not accessible to others (mode 600).
     #[arg(
         long,
         value_name = "FILE",
@@ -53,7 +53,7 @@ pub(super) struct Args {
     )]
     password_file: Password,
 
-    /// How long a node works on each request: 0s, 20ms.
+    /// How long a node takes for each request, such as 20ms.
     #[arg(
         long,
         value_name = "TIME",
@@ -129,7 +129,7 @@ impl AddressRange {
     }
 }
 
-/// A text that gives no addresses of nodes.
+/// A text that is not an address or range of nodes.
 #[derive(Debug, thiserror::Error)]
 #[error(
     "write an IPv4 address or a range of its last number, which is a node address from 1 to 125: \

@@ -1,25 +1,25 @@
-//! What commands print to stdout: lines for people, or one JSON object a line.
+//! The output of commands on stdout: text for people, or one JSON object a line.
 
 use std::io::{self, Stdout, Write, stdout};
 
 use anstream::{AutoStream, ColorChoice};
 use serde::Serialize;
 
-/// The two ways to print.
+/// The format of the output.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub(super) enum Format {
     Text,
     Json,
 }
 
-/// Colour, or none.
+/// Text with or without colours.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Paint {
     pub(super) colour: bool,
 }
 
 impl Paint {
-    /// By the rule that the help texts follow too: none in a file, or with `NO_COLOR`.
+    /// Colours under the same conditions as in the help texts: not in a file, and not with `NO_COLOR`.
     pub(super) fn of_stdout() -> Self {
         Self { colour: AutoStream::choice(&stdout()) != ColorChoice::Never }
     }
@@ -45,7 +45,7 @@ impl Paint {
     }
 }
 
-/// The standard output, whose errors say that they are its own.
+/// The standard output. Its errors say that they come from it.
 pub(super) struct Out(Stdout);
 
 pub(super) fn out() -> Out {
@@ -63,7 +63,7 @@ impl Write for Out {
 }
 
 impl Out {
-    /// Says what it is that cannot be written to.
+    /// Adds to an error what could not be written to.
     pub(super) fn error(error: io::Error) -> io::Error {
         io::Error::new(error.kind(), format!("cannot write to the standard output: {error}"))
     }
@@ -78,7 +78,7 @@ pub(super) fn hex(octets: &[u8]) -> String {
     octets.iter().map(|octet| format!("{octet:02x}")).collect()
 }
 
-/// Route elements, as they are written in a row.
+/// Route elements, separated by dots.
 pub(super) fn dotted(elements: &[u8]) -> String {
     elements.iter().map(u8::to_string).collect::<Vec<_>>().join(".")
 }

@@ -1,5 +1,5 @@
-//! `pnet-nat reload`: has a running relay read its configuration again, and tells the relay's own
-//! verdict.
+//! `pnet-nat reload`: makes a running relay read its configuration again, and prints the outcome that the
+//! relay reports.
 
 use std::io::Write;
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
@@ -21,29 +21,29 @@ use crate::harmless::harmless_lines;
 
 /// How long one answer may take. The reload itself may take longer.
 const ANSWER_TIME: Duration = Duration::from_secs(5);
-/// How often it is asked whether the reload is over.
+/// How long to wait before asking again whether the reload is over.
 const PAUSE: Duration = Duration::from_millis(50);
 
-/// Have a running relay read its configuration again, and wait for its verdict.
+/// Make a running relay read its configuration again, and wait for the outcome.
 ///
-/// With --pid it sends SIGHUP, else it asks the admin server, where [admin] reload = true allows it.
-/// The verdict comes from the admin server in both cases.
+/// With --pid it sends SIGHUP; otherwise it asks the admin server, which needs [admin] reload = true. In
+/// both cases the admin server reports the outcome.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:  pnet-nat reload --config /etc/pnet-nat/pnet-nat.toml\n\
-    Exit codes: 0 all of it is in force; 1 it is not, or nobody knows.")]
+    Exit codes: 0 all of the configuration is in force; 1 it is not, or the outcome is not known.")]
 pub(super) struct Args {
-    /// The process of the relay.
+    /// Process ID of the relay.
     #[arg(long, value_name = "PID", env = "PNET_NAT_PID")]
     pid: Option<i32>,
 
     #[command(flatten)]
     relay: admin_server::Options,
 
-    /// The relay's configuration, whose [admin] says where the admin server is and what token it wants.
+    /// The relay's configuration file; its [admin] says where the admin server is and which token it needs.
     #[arg(long, value_name = "FILE", env = "PNET_NAT_CONFIG")]
     config: Option<PathBuf>,
 
-    /// How long to wait for the verdict.
+    /// How long to wait for the outcome.
     #[arg(
         long,
         env = "PNET_NAT_RELOAD_TIMEOUT",
@@ -66,19 +66,19 @@ pub(super) fn run(args: &Args) -> anyhow::Result<ExitCode> {
     })?;
     let shown = out().write_all(harmless_lines(&verdict.text).as_bytes());
     if !verdict.successful {
-        return Ok(ExitCode::FAILURE); // whether or not somebody reads why
+        return Ok(ExitCode::FAILURE); // even if the reason cannot be written
     }
     shown?;
     Ok(ExitCode::SUCCESS)
 }
 
-/// What came of a reload.
+/// The outcome of a reload.
 struct Verdict {
     successful: bool,
     text: String,
 }
 
-/// Sends SIGHUP and waits until a reload is over that began afterwards.
+/// Sends SIGHUP and waits for the end of a reload that began afterwards.
 async fn signal(pid: i32, relay: anyhow::Result<Relay>, time: Duration) -> anyhow::Result<Verdict> {
     let before = async {
         let relay = relay?;
@@ -88,31 +88,31 @@ async fn signal(pid: i32, relay: anyhow::Result<Relay>, time: Duration) -> anyho
     let before = before.await;
     // Even if nobody can report the outcome: a password that is withdrawn must not stay in force.
     kill(Pid::from_raw(pid), Signal::SIGHUP).with_context(|| {
-        format!("process {pid} cannot be signalled; is it the relay, and yours or are you root?")
+        format!("process {pid} cannot be signalled; is it the relay, and are you its user or root?")
     })?;
-    let told = "the verdict cannot be had; SIGHUP was sent, see the log for what came of it";
+    let told = "the outcome is not known; SIGHUP was sent, see the log of the relay";
     let (relay, before) = before.context(told)?;
     let end = Instant::now() + time;
     while Instant::now() < end {
         sleep(PAUSE).await;
-        // While it takes over sockets it may be slow to answer.
+        // It may be slow to answer while the reload runs.
         let Ok(state) = relay.state().await else { continue };
         if number(&state, "number")? > before {
             return Ok(Verdict::of(&state));
         }
     }
-    bail!("not over within {}: {told}", humantime::format_duration(time))
+    bail!("the reload took more than {}: {told}", humantime::format_duration(time))
 }
 
 fn number(state: &Value, key: &str) -> anyhow::Result<u64> {
-    state[key].as_u64().context("this relay does not number its reloads; is it an older one?")
+    state[key].as_u64().context("this relay does not number its reloads; is it an older version?")
 }
 
 impl Verdict {
     fn of(state: &Value) -> Self {
         let mut text = String::new();
         if let Some(error) = state["error"].as_str() {
-            text += &format!("reload failed, and the configuration before it stays: {error}\n");
+            text += &format!("reload failed, the configuration in force stays: {error}\n");
         }
         for fault in state["faults"].as_array().into_iter().flatten() {
             text += &format!("{}\n", fault.as_str().unwrap_or_default());
@@ -136,13 +136,13 @@ fn items(state: &Value) -> String {
     items.map(line).collect()
 }
 
-/// The relay whose verdict is wanted.
+/// The relay to reload.
 struct Relay(AdminServer);
 
 impl Relay {
     fn of(args: &Args) -> anyhow::Result<Self> {
         let place = match (&args.relay.url, &args.config) {
-            // What is wrong with it, the relay says.
+            // The relay reports the faults of the file.
             (None, Some(file)) => {
                 config::read_text(file).ok().map(|text| config::admin_place(&text))
             }
@@ -150,7 +150,7 @@ impl Relay {
         };
         let place = place.unwrap_or_default();
         if !place.enabled {
-            bail!("the admin server is off ([admin] enabled), and it alone tells the verdict");
+            bail!("the admin server is off ([admin] enabled), and only it reports the outcome");
         }
         let beside = args.config.as_deref().and_then(Path::parent).unwrap_or(Path::new(""));
         let token_file = place.token_file.map(|file| beside.join(file));
@@ -158,25 +158,25 @@ impl Relay {
         AdminServer::new(&args.relay, listen, token_file.as_deref(), ANSWER_TIME).map(Self)
     }
 
-    /// What the relay says of its last reload.
+    /// The relay's last reload, as its API has it.
     async fn state(&self) -> anyhow::Result<Value> {
         self.0.get("/api/v1/status").await?.remove("reload").with_context(|| self.0.no_api())
     }
 
-    /// Asks for a reload and waits for what comes of it.
+    /// Asks the admin server for a reload and waits for the outcome.
     async fn post(&self, time: Duration) -> anyhow::Result<Verdict> {
         let (status, text) = self.0.ask(Method::POST, "/-/reload", time).await?;
         let url = &self.0.url;
         match status.as_u16() {
             200 | 409 => Ok(Verdict::of(&self.state().await?)),
             422 => Ok(Verdict { successful: false, text: format!("reload failed\n{text}") }),
-            403 => bail!("{url}: {}; or give --pid", text.trim_end()),
+            403 => bail!("{url}: {}; or use --pid", text.trim_end()),
             status => bail!("{url} answered {status}: {}", text.trim_end()),
         }
     }
 }
 
-/// Where a server that listens on all addresses is reached from here.
+/// An address to reach the server at; it may listen on all addresses.
 fn reachable(mut listen: SocketAddr) -> SocketAddr {
     if listen.ip().is_unspecified() {
         let loopback: IpAddr = match listen {

@@ -1,7 +1,7 @@
 //! `pnet-nat request`: asks server nodes behind a NAT router, as a remote client does.
 //!
-//! The exchange itself is in `peer::client`; here are the options, and the lines that are printed.
-//! Invariant: no password is ever printed.
+//! `peer::client` exchanges the datagrams; here are the options and the printed lines. Invariant: no
+//! password is ever printed.
 
 use std::io::{self, Write};
 use std::net::{IpAddr, SocketAddr};
@@ -23,7 +23,7 @@ use crate::pnet::wire::Password;
 #[command(
     after_help = "Example:  pnet-nat request --to 192.0.2.1 --start-port 40000 --node 1-4 \\\n\
     \x20                          --password-file secrets/section-1\n\
-    Each request carries its number; a simulated node sends it back. Exit 1 when nothing came."
+    Each request carries its number; a simulated node sends it back. Exit code 1: no answer came."
 )]
 pub(super) struct Args {
     /// Public address of the NAT router.
@@ -49,7 +49,7 @@ pub(super) struct Args {
     )]
     node: Vec<NodeRange>,
 
-    /// File with exactly the 8 octets of the password, closed to others (mode 600).
+    /// File with exactly the 8 octets of the password, not accessible to others (mode 600).
     #[arg(
         long,
         value_name = "FILE",
@@ -58,7 +58,7 @@ pub(super) struct Args {
     )]
     password_file: Password,
 
-    /// Requests to each node.
+    /// Number of requests to each node.
     #[arg(long, value_name = "N", default_value = "1", env = "PNET_NAT_COUNT")]
     count: NonZeroU32,
 
@@ -82,12 +82,12 @@ pub(super) struct Args {
     )]
     timeout: Duration,
 
-    /// What is printed: lines for people, or one JSON object a line.
+    /// Output: text for people, or one JSON object a line.
     #[arg(long, value_enum, default_value_t = Format::Text, env = "PNET_NAT_FORMAT")]
     format: Format,
 }
 
-/// Sends the requests; fails when nothing came back.
+/// Sends the requests; the exit code is 1 when no answer came.
 pub(super) fn run(args: Args) -> anyhow::Result<ExitCode> {
     tokio::runtime::Builder::new_current_thread().enable_all().build()?.block_on(ask(args))
 }
@@ -103,7 +103,7 @@ async fn ask(args: Args) -> anyhow::Result<ExitCode> {
     for _ in 0..args.count.get() {
         rounds.tick().await;
         for node_address in args.node.iter().flat_map(|nodes| nodes.0.clone()) {
-            // The number tells requests apart in a capture.
+            // In a capture, the number tells requests apart.
             let request = Request {
                 node_address,
                 beyond: &[],

@@ -28,23 +28,23 @@ use crate::sandbox::{self, Sandbox, User};
 use crate::service;
 use crate::thread::ThreadError;
 
-/// How long an IPv6 address may stay tentative: the kernel asks for a second or two whether another
-/// machine has it.
+/// How long to wait for an IPv6 address that is tentative: for a second or two the kernel asks whether
+/// another machine has it.
 const ADDRESS_TIME: Duration = Duration::from_secs(5);
-/// How often it is looked whether it is there.
+/// How long to wait between two tries.
 const ADDRESS_LOOK: Duration = Duration::from_millis(100);
 
 /// Relay between clients on the Internet and the server nodes of a plant.
 ///
-/// Ends on SIGTERM or SIGINT: takes no more requests, waits for the answers that are due, and
-/// exits 0. A second signal ends it at once. SIGHUP has it read its configuration again.
+/// SIGTERM or SIGINT stops it: it takes no more requests, waits for answers that are still due, and exits
+/// 0. A second signal stops it at once. On SIGHUP it reads its configuration again.
 #[derive(clap::Args)]
 #[command(after_help = "Example:  pnet-nat run --config /etc/pnet-nat/pnet-nat.toml")]
 pub(super) struct Args {
-    /// The configuration; config/pnet-nat.toml explains every key.
+    /// The configuration file; config/pnet-nat.toml explains every key.
     #[arg(long, value_name = "FILE", env = "PNET_NAT_CONFIG")]
     config: PathBuf,
-    /// Keep every privilege: for debuggers, and to find out whether the confinement is at fault.
+    /// Run without confinement: for debugging, and to find out whether the confinement causes a fault.
     #[arg(
         long,
         env = "PNET_NAT_NO_SANDBOX",
@@ -55,7 +55,7 @@ pub(super) struct Args {
 
 /// Runs the command.
 pub(super) fn run(args: &Args) -> anyhow::Result<ExitCode> {
-    // Starts no thread yet. From here on there is somebody to answer SIGHUP.
+    // Starts no thread yet. From here on SIGHUP is handled.
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     let hangup = {
         let _context = runtime.enter();
@@ -79,7 +79,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<ExitCode> {
     if let Some(user) = user {
         user.become_for_good()?;
     }
-    // Every thread inherits the confinement, for up to here there is only this one.
+    // Every thread inherits the confinement, since this is still the only one.
     let sandbox = prepared.map_or_else(Sandbox::off, |prepared| prepared.confine(&files));
     sandbox.announce();
     let start_threads = || -> anyhow::Result<_> {
@@ -95,8 +95,8 @@ pub(super) fn run(args: &Args) -> anyhow::Result<ExitCode> {
     relay(runtime, hangup, router, admin, reloader, sandbox)
 }
 
-/// The configuration and its warnings, and whom to become, if that is wanted: then it is read with that
-/// user's rights.
+/// The configuration, its warnings, and the user to become, if there is one. Then the configuration is read
+/// with that user's rights.
 fn read(path: &Path, becomes_user: bool) -> Result<(Config, Vec<Warning>, Option<User>), ExitCode> {
     let text = told(config::read_text(path))?;
     let Some(name) = config::user(&text).filter(|_| becomes_user) else {
@@ -104,12 +104,12 @@ fn read(path: &Path, becomes_user: bool) -> Result<(Config, Vec<Warning>, Option
         return Ok((config, warnings, None));
     };
     let user = User::find(&name).map_err(refuse)?;
-    // As each reload will read it.
+    // Each reload will read it with these rights.
     let (config, warnings) = user.act(|| load(path)).map_err(refuse)??;
     Ok((config, warnings, Some(user)))
 }
 
-/// Says why nothing is started, and whether another try may succeed.
+/// Tells why the relay does not start; the exit code says whether another try may succeed.
 fn refuse(error: impl Into<anyhow::Error>) -> ExitCode {
     let error = error.into();
     complain(format_args!("pnet-nat: {error:#}"));
@@ -126,8 +126,11 @@ fn may_pass(error: &anyhow::Error) -> bool {
     })
 }
 
-/// Binds everything, or nothing. Waits for an address that the host is about to have.
-#[expect(clippy::disallowed_methods, reason = "nothing tells that an address is tentative no more")]
+/// Binds all sockets or none. Waits for addresses that are still tentative.
+#[expect(
+    clippy::disallowed_methods,
+    reason = "nothing reports when an address is no longer tentative"
+)]
 fn bind(config: Config) -> anyhow::Result<(Bound, Option<StdListener>)> {
     let end = Instant::now() + ADDRESS_TIME;
     let mut told = false;
@@ -184,9 +187,9 @@ fn relay(
         announce(&router);
         service::ready(&router);
         let reloading = async {
-            // However many come during the start or a reload, there is one more after it.
+            // Any number of signals during the start or a reload cause one more reload.
             while hangup.recv().await.is_some() {
-                // Both outcomes are in the log.
+                // The reload logs its outcome.
                 let _ = reloader.reload().await;
             }
             future::pending().await

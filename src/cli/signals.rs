@@ -1,11 +1,11 @@
-//! The signals that end a command, and those that must not.
+//! The signals that end a command, and those that must not end it.
 
 use std::io;
 
 use nix::sys::signal::{SigSet, Signal as Name};
 use tokio::signal::unix::{Signal, SignalKind, signal};
 
-/// SIGTERM and SIGINT, from its making on.
+/// SIGTERM and SIGINT, from `new` on.
 pub(super) struct Signals {
     terminate: Signal,
     interrupt: Signal,
@@ -18,7 +18,7 @@ impl Signals {
         Ok(Self { terminate, interrupt })
     }
 
-    /// Waits for the next one and tells its name.
+    /// Waits for the next signal and returns its name.
     pub(super) async fn next(&mut self) -> &'static str {
         tokio::select! {
             _ = self.terminate.recv() => "SIGTERM",
@@ -27,15 +27,15 @@ impl Signals {
     }
 }
 
-/// Holds SIGHUP back until [`let_hangup_through`], and SIGXFSZ for good: a file that may not grow any
-/// more is an error of who writes it, and not the end. Threads that are started later inherit it.
+/// Blocks SIGHUP until [`let_hangup_through`], and SIGXFSZ for good: a file at its size limit is then an
+/// error of the write and does not end the process. Threads that are started later inherit this.
 pub(super) fn hold_back() {
     let signals: SigSet = [Name::SIGHUP, Name::SIGXFSZ].into_iter().collect();
-    // Without it, the signals do what they do by themselves.
+    // If this fails, the signals keep their default effect.
     let _ = signals.thread_block();
 }
 
-/// One that came meanwhile comes now.
+/// Unblocks SIGHUP; one that came in the meantime is delivered now.
 pub(super) fn let_hangup_through() {
     let _ = SigSet::from(Name::SIGHUP).thread_unblock();
 }

@@ -44,7 +44,7 @@ impl FileError {
             }
             Self::Confined => "restart the relay; it can read only the folders that its files were in \
                                when it started, and links lead elsewhere now. To replace files without a \
-                               restart, keep them in one real folder and rename new ones into it"
+                               restart, keep the files in one real folder and rename new ones into it"
                 .into(),
         }
     }

@@ -61,7 +61,7 @@ fn a_configuration_that_is_not_there_or_cannot_be_read() {
     expect_all(&refused(folder.path(), None), &["is a folder, not a regular file", "name a file"]);
     let text = folder.path().join("pnet-nat.toml");
     fs::write(&text, b"listen = \"\xFF\"").unwrap();
-    expect_all(&refused(&text, None), &["pnet-nat.toml:1: not UTF-8", "save the file as UTF-8"]);
+    expect_all(&refused(&text, None), &["pnet-nat.toml:1: is not UTF-8", "save the file as UTF-8"]);
     fs::write(&text, "[public\n").unwrap();
     expect_all(&refused(&text, None), &["pnet-nat.toml:1: ", "correct the TOML"]);
 }

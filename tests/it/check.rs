@@ -100,7 +100,7 @@ fn a_user_that_is_not_there_is_exit_code_2() {
 /// A network around the plant's subnet does not name it.
 #[test]
 fn clients_inside_the_plant_that_are_not_let_in_are_told_of() {
-    let remark = "section-1: 127.17.0.0/16 lets no client in from the plant's own subnet; where there \
+    let remark = "section-1: 127.17.0.0/16 does not let in clients from the plant's own subnet; if there \
                   are some, add \"127.17.17.0/24\" to `allow`.";
     let told = |allow: &str| {
         let folder = folder(&annotated().replace("\"198.51.100.0/24\"", allow));
@@ -116,7 +116,7 @@ fn clients_inside_the_plant_that_are_not_let_in_are_told_of() {
 
 /// On a router, in a network of its own: one address on the Internet side, one in the plant.
 #[test]
-fn the_ways_to_the_servers_are_checked() {
+fn the_routes_to_the_servers_are_checked() {
     if !geteuid().is_root() {
         return left_out("root, for a network");
     }
@@ -145,7 +145,7 @@ fn the_ways_to_the_servers_are_checked() {
     let mistyped = sound.replace("= \"172.17.17.0\"", "= \"172.71.17.0\"");
     let (code, stderr) = checked(two_interfaces, &mistyped);
     assert_eq!(code, Some(75), "{stderr}");
-    assert!(stderr.contains("the way to 172.71.17.1 leaves by the Internet side"), "{stderr}");
+    assert!(stderr.contains("the route to 172.71.17.1 leaves by the Internet side"), "{stderr}");
 
     let (code, stderr) = checked(one_interface, &sound);
     assert_eq!(code, Some(75), "{stderr}");

@@ -148,7 +148,7 @@ fn a_password_of_somebody_elses_is_refused_from_the_start() {
     let config = folder.path().join("pnet-nat.toml");
     let mut process = Process::start(pnet_nat(&["run", "--config", config.to_str().unwrap()]));
     assert_eq!(process.end(), Some(2));
-    assert!(process.stderr().contains("who reads it, own it"));
+    assert!(process.stderr().contains("who reads it, and let that user enter"));
 }
 
 /// A relay whose folders everybody can look into, and whose files are this user's.
@@ -227,7 +227,7 @@ fn a_user_that_cannot_be_or_cannot_read_is_refused_at_the_start() {
     }
     let site = Site::claim();
     for (user, why) in [
-        ("65534", "who reads it, own it"),
+        ("65534", "who reads it, and let that user enter"),
         ("\"nobody-of-this-name\"", "useradd"),
         ("\"root\"", "root is what is to be given up"),
     ] {

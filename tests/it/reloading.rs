@@ -434,7 +434,7 @@ fn the_command_tells_the_verdict() {
     relay.configure(&sound.replace("[admin]", "[admin]\nenabled = false"));
     let before = relay.process.logged("reload").len();
     let (code, _, stderr) = reload(&by_signal);
-    assert!(code == Some(1) && stderr.contains("the verdict cannot be had"), "{stderr}");
+    assert!(code == Some(1) && stderr.contains("the outcome is not known"), "{stderr}");
     eventually("it has reloaded", || (relay.process.logged("reload").len() > before).then_some(()));
     let (code, _, stderr) = reload(&["--pid", "999999999", "--config", file]);
     assert!(code == Some(1) && stderr.contains("cannot be signalled"), "{stderr}");
@@ -617,7 +617,7 @@ fn a_password_file_in_another_folder_is_refused_with_the_remedy() {
     assert_eq!(fault["key"], "udp_range_net[0].password[0].file", "{fault}");
     assert!(fault["problem"].as_str().unwrap().contains("the relay's confinement"), "{fault}");
     let remedy = fault["remedy"].as_str().unwrap();
-    assert!(remedy.contains("only the folders in which its files were"), "{fault}");
+    assert!(remedy.contains("only the folders that its files were in"), "{fault}");
     assert_eq!(exchange(&client, site.public(4), &node, 4), port);
     relay.reload_to(&first);
     relay.finish();
@@ -655,7 +655,7 @@ fn a_link_that_leads_to_another_folder_is_refused_with_the_remedy() {
     eventually("it is refused", || process.logged("reload failed").pop());
     let fault = process.logged("configuration fault").pop().unwrap();
     let remedy = fault["remedy"].as_str().unwrap();
-    assert!(remedy.contains("wherever links lead now"), "{fault}");
+    assert!(remedy.contains("links lead elsewhere now"), "{fault}");
     assert!(remedy.contains("keep the files in one real folder"), "{fault}");
     assert_eq!(exchange(&client, site.public(4), &node, 4), port);
 }

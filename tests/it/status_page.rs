@@ -297,8 +297,10 @@ fn traffic_appears_and_a_node_that_dies_turns_silent() {
     (0..200).for_each(|_| stranger.send(site.public(4), &wrong));
     relay.process.go_on();
     browser.expect("#drops", "kernel: overflow");
-    browser
-        .expect("#drops", "Never seen by the relay: the receive buffer of a public port was full.");
+    browser.expect(
+        "#drops",
+        "Lost before the relay saw it: the receive buffer of a public port was full.",
+    );
 
     nodes.remove(2);
     browser.expect(&state_of(3), "silent");

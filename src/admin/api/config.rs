@@ -1,4 +1,4 @@
-//! `/api/v1/config`: the configuration in force without its passwords.
+//! `/api/v1/config`: the configuration in force, without passwords.
 
 use std::net::{IpAddr, SocketAddr};
 
@@ -18,7 +18,7 @@ pub(in crate::admin) async fn config(State(shared): State<Shared>) -> Response {
     shared.turn.take(|| Json(ConfigInForce::of(&in_force.config)).into_response()).await
 }
 
-/// The configuration, passwords left out.
+/// The configuration.
 #[derive(Serialize)]
 struct ConfigInForce<'a> {
     listen: &'a [IpAddr],
@@ -31,18 +31,18 @@ struct ConfigInForce<'a> {
     audit_lines: u32,
     prefilter: &'static str,
     busy_poll_seconds: f64,
-    /// Null: whoever started it.
+    /// Null: the user that started the relay.
     user: Option<&'a str>,
     /// Null: one for each two cores.
     workers: Option<usize>,
     receive_buffer_bytes: usize,
     drain_seconds: f64,
-    /// Null when switched off.
+    /// Null when the admin server is disabled.
     admin_listen: Option<SocketAddr>,
     /// Whether the admin server asks for a token.
     admin_has_token: bool,
     metrics_without_token: bool,
-    /// Whether `POST /-/reload` is switched on.
+    /// Whether `POST /-/reload` is enabled.
     admin_reload: bool,
 }
 
@@ -88,7 +88,7 @@ impl<'a> ConfigInForce<'a> {
 pub(super) struct NetRules<'a> {
     name: &'a str,
     kind: &'static str,
-    /// Of a UDP Range net only.
+    /// Null for a single server.
     start_port: Option<u16>,
     allow: &'a [IpNet],
     credentials: Vec<CredentialName<'a>>,
@@ -96,9 +96,9 @@ pub(super) struct NetRules<'a> {
     require_response_password: bool,
     idle_timeout_seconds: f64,
     max_flows: u32,
-    /// Null: any number.
+    /// Null: no limit.
     max_requests_per_second: Option<u32>,
-    /// Null: any number.
+    /// Null: no limit.
     max_flow_requests_per_second: Option<u32>,
 }
 

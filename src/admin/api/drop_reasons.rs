@@ -7,28 +7,28 @@ use axum::response::{IntoResponse, Response};
 
 use crate::nat::Direction;
 
-/// What the kernel drops before the relay sees it, as the status page names it, in plain words:
-/// by the causes of [`KernelDrops`](crate::datapath::KernelDrops).
+/// What the kernel drops before the relay sees it, by the causes of
+/// [`KernelDrops`](crate::datapath::KernelDrops), with the names of the status page.
 const KERNEL_DROPS: [(&str, &str); 4] = [
     (
         "kernel: overflow",
-        "Never seen by the relay: the receive buffer of a public port was full. Raise \
+        "Lost before the relay saw it: the receive buffer of a public port was full. Raise \
          `receive_buffer` and sysctl net.core.rmem_max, add workers.",
     ),
     (
         "kernel: prefilter",
-        "Refused by the kernel for their length, header or password, while a public port was \
-         flooded, or with `prefilter = \"always\"` from the start on.",
+        "Dropped by the kernel because of length, header or password, while a public port was \
+         flooded, or at any time with `prefilter = \"always\"`.",
     ),
     (
         "kernel: upstream overflow",
-        "Answers of servers that the relay never saw: the receive buffer of a socket towards the \
-         plant was full. Raise `receive_buffer` and sysctl net.core.rmem_max, add workers.",
+        "Answers of servers, lost before the relay saw them: the receive buffer of a socket \
+         towards the plant was full. Raise `receive_buffer` and sysctl net.core.rmem_max, add workers.",
     ),
     (
         "kernel: upstream prefilter",
-        "Refused by the kernel on a socket towards the plant, while it was flooded by senders that \
-         are no server of the table. Who sends there? A firewall can keep them out.",
+        "Dropped by the kernel on a socket towards the plant, while it was flooded by senders that \
+         are not servers of the table. Find out who sends there; a firewall can keep them out.",
     ),
 ];
 

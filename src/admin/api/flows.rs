@@ -17,7 +17,7 @@ use crate::admin::Shared;
 use crate::nat::{FlowRecord, Table};
 
 const DEFAULT_FLOWS: usize = 1000;
-/// A worker lists its flows between two datagrams, so a list has to be short.
+/// A worker makes its list between two datagrams, so the list must be short.
 const MOST_FLOWS: usize = 10_000;
 
 /// Query of [`flows`].
@@ -38,7 +38,7 @@ pub(in crate::admin) async fn flows(
     }
     let asking = shared.flow_lists.asking.lock().await;
     let Some(flows) = shared.router.flows(limit).await else {
-        let message = "a worker gives no answer\n";
+        let message = "a worker does not answer\n";
         return (StatusCode::SERVICE_UNAVAILABLE, message).into_response();
     };
     drop(asking);
@@ -48,8 +48,8 @@ pub(in crate::admin) async fn flows(
     json_list("flows", shared.flow_lists.keep(Box::new(flows)), &shared.turn)
 }
 
-/// A list of flows is large, and asking for it wakes the workers: one is made at a time, and a few
-/// are kept for slow readers.
+/// A list of flows is large, and the workers are woken to make it. So only one is made at a time, and
+/// only a few are kept for slow clients.
 #[derive(Clone, Default)]
 pub(in crate::admin) struct FlowLists {
     asking: Arc<tokio::sync::Mutex<()>>,
@@ -57,7 +57,7 @@ pub(in crate::admin) struct FlowLists {
     kept: Arc<Mutex<VecDeque<Weak<KeptList>>>>,
 }
 
-/// None when it was cut.
+/// None: it was cut.
 type KeptList = Mutex<Option<FlowList>>;
 
 type FlowList = Box<dyn Iterator<Item = serde_json::Result<String>> + Send>;
@@ -65,7 +65,7 @@ type FlowList = Box<dyn Iterator<Item = serde_json::Result<String>> + Send>;
 impl FlowLists {
     const MOST: usize = 4;
 
-    /// The same list, but cut when so many others were asked for later.
+    /// The same list, but it is cut when too many later ones were asked for.
     fn keep(
         &self,
         list: FlowList,
@@ -81,12 +81,12 @@ impl FlowLists {
         kept.push_back(Arc::downgrade(&list));
         iter::from_fn(move || match lock(&list).as_mut() {
             Some(list) => list.next(),
-            None => Some(Err(serde_json::Error::custom("others asked for it later"))),
+            None => Some(Err(serde_json::Error::custom("too many later requests"))),
         })
     }
 }
 
-/// Nothing panics while it has one of these locks.
+/// No code panics while it holds one of these locks.
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
@@ -99,7 +99,7 @@ struct Flow<'a> {
     element: Element,
     client: SocketAddr,
     public_address: IpAddr,
-    /// Null without a password.
+    /// Null: the client sent no password.
     credential: Option<&'a str>,
     upstream_port: u16,
     age_seconds: f64,

@@ -1,6 +1,7 @@
 //! `/api/v1`: nets, flows and configuration as JSON.
 //!
-//! The shapes in these files are the API. None holds a password: a credential is its name.
+//! The structs in these files are the shape of the JSON. None contains a password: of a credential, only
+//! its name is shown.
 
 mod config;
 mod drop_reasons;
@@ -22,7 +23,7 @@ pub(super) use flows::{FlowLists, flows};
 pub(super) use nets::nets;
 pub(super) use status::status;
 
-/// An object with one list, made and sent item by item.
+/// An object with one list, made item by item as the client reads it.
 fn json_list(
     name: &str,
     items: impl Iterator<Item = serde_json::Result<String>> + Send + 'static,

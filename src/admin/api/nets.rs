@@ -22,9 +22,9 @@ use crate::observe::totals::{NetTotals, NodeTotals, Presence};
 /// Query of [`nets`].
 #[derive(Deserialize)]
 pub(in crate::admin) struct NetsQuery {
-    /// This one only.
+    /// Only the net with this name.
     net: Option<String>,
-    /// false: nets without their list of nodes, which is most of the answer.
+    /// false: without the lists of nodes, which are most of the answer.
     nodes: Option<bool>,
 }
 
@@ -55,7 +55,7 @@ pub(in crate::admin) async fn nets(
 struct NetState<'a> {
     #[serde(flatten)]
     rules: NetRules<'a>,
-    /// The /24 that all the servers of a UDP Range net stand in (PAS 7).
+    /// The /24 of all servers of a UDP Range net (PAS 7).
     subnet: Option<IpNet>,
     flows: u64,
     flows_opened: u64,
@@ -69,10 +69,10 @@ struct NetState<'a> {
     /// Their node addresses.
     silent_nodes: Vec<u8>,
     never_asked_nodes: usize,
-    /// Of all nodes together.
+    /// The sum of all nodes.
     #[serde(flatten)]
     traffic: Traffic,
-    /// Absent when not asked for.
+    /// Absent with `nodes=false`.
     #[serde(skip_serializing_if = "Option::is_none")]
     nodes: Option<Vec<NodeState>>,
 }
@@ -123,9 +123,9 @@ struct NodeState {
     presence: Presence,
     #[serde(flatten)]
     traffic: Traffic,
-    /// Since the last request that wants an answer; null: never.
+    /// Time since the last request that expects an answer; null: there was none.
     last_request_age_seconds: Option<f64>,
-    /// Since the last response; null: never.
+    /// Time since the last response; null: there was none.
     last_response_age_seconds: Option<f64>,
 }
 

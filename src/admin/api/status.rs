@@ -25,7 +25,7 @@ pub(in crate::admin) async fn status(State(shared): State<Shared>) -> Response {
 #[derive(Serialize)]
 struct Status<'a> {
     version: &'static str,
-    /// Null where it is not known.
+    /// Null when it is not known.
     commit: Option<&'static str>,
     ready: bool,
     uptime_seconds: f64,
@@ -35,13 +35,13 @@ struct Status<'a> {
     max_flows: u32,
     /// About how many addresses have sent wrong passwords since the start.
     wrong_password_sources: u32,
-    /// The estimate goes no further than this.
+    /// The upper limit of that estimate.
     wrong_password_sources_at_most: u32,
-    /// From the plant, of no server of the table.
+    /// Datagrams from the plant that no server of the table sent.
     stray_responses: DirectionState,
-    /// Answers that the kernel dropped on sockets towards the plant, which belong to no net.
+    /// What the kernel dropped on sockets towards the plant. These sockets belong to no net.
     upstream_kernel_dropped_datagrams: BTreeMap<&'static str, u64>,
-    /// Upper bounds of `response_time_buckets`; one more bucket takes the rest.
+    /// Upper bounds of `response_time_buckets`; the last bucket has none.
     response_time_bounds_seconds: [f64; RESPONSE_BUCKETS.len()],
     sandbox: Vec<LayerState<'a>>,
 }
@@ -49,19 +49,19 @@ struct Status<'a> {
 /// How the last reload went.
 #[derive(Serialize)]
 struct ReloadState<'a> {
-    /// All of the configuration that was last read is in force.
+    /// Whether all of the configuration that was last read is in force.
     successful: bool,
-    /// Since the configuration in force came into force.
+    /// How long the current configuration has been in force.
     in_force_seconds: f64,
     /// Reloads that have begun since the start.
     begun: u64,
-    /// Which of them this tells of; 0: the start.
+    /// The number of the reload described here; 0: the start.
     number: u64,
-    /// Why it changed nothing; null: it did not fail.
+    /// Why it failed; null: it did not.
     error: Option<&'a str>,
-    /// The faults of what was read.
+    /// The faults of the configuration that was read.
     faults: &'a [String],
-    /// What the configuration has that is in force, but for this.
+    /// Parts of the configuration that are not in force.
     not_in_force: Vec<&'a NotInForce>,
 }
 

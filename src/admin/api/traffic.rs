@@ -1,4 +1,4 @@
-//! Datagrams and response times, of a node, a net, or what belongs to none.
+//! Datagrams and response times of a node, of a net, or of what belongs to no net.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -8,7 +8,7 @@ use serde::Serialize;
 use crate::nat::{Direction, RESPONSE_BUCKETS};
 use crate::observe::totals::{BucketTotals, DirectionTotals, NodeTotals, ResponseTotals};
 
-/// Datagrams, and how long answers took, since the start.
+/// Datagrams and response times since the start.
 #[derive(Serialize)]
 pub(super) struct Traffic {
     request: DirectionState,
@@ -16,10 +16,10 @@ pub(super) struct Traffic {
     response_time_mean_seconds: Option<f64>,
     response_time_median_seconds: Option<f64>,
     response_time_p99_seconds: Option<f64>,
-    /// How many answers fell into each bucket alone.
+    /// How many answers fell into each bucket; not cumulative.
     response_time_buckets: [u64; RESPONSE_BUCKETS.len() + 1],
-    /// The same by finer buckets, for who adds up nets or takes differences; those without an answer
-    /// are left out.
+    /// The same with finer buckets, for clients that add up nets or take differences. Empty buckets are
+    /// left out.
     response_times: Vec<ResponseTimes>,
 }
 
@@ -63,7 +63,7 @@ pub(super) struct DirectionState {
     received_datagrams: u64,
     forwarded_datagrams: u64,
     forwarded_bytes: u64,
-    /// By reason; those at 0 are left out.
+    /// By reason; reasons at 0 are left out.
     dropped_datagrams: BTreeMap<&'static str, u64>,
 }
 

@@ -1,7 +1,7 @@
 //! The packets of a capture, pcap or pcapng, as a stream.
 //!
-//! Here a file is cut into blocks, which `pcap_parser` reads one by one. Invariant: a block is in
-//! memory alone, and none that is longer than [`LONGEST_BLOCK`].
+//! The file is split into blocks here, and `pcap_parser` reads each one. Invariant: only one block is in
+//! memory, and it is not longer than [`LONGEST_BLOCK`].
 
 use std::io::{self, BufRead, Read};
 use std::time::{Duration, SystemTime};
@@ -14,11 +14,11 @@ use pcap_parser::{
     parse_block_be, parse_block_le, parse_pcap_frame, parse_pcap_frame_be, parse_pcap_header,
 };
 
-/// Octets in the longest block: more than any capture program takes of one packet.
+/// Octets in the longest block: more than any capture program stores of one packet.
 const LONGEST_BLOCK: usize = 1 << 20;
 /// Interfaces in one section.
 const MOST_INTERFACES: usize = 1 << 16;
-/// The last second of the year 9999: later times have no text.
+/// The last second of the year 9999: later times cannot be printed.
 const LAST_SECOND: u64 = 253_402_300_799;
 
 /// A captured packet.
@@ -48,7 +48,7 @@ fn pcap_version(magic: [u8; 4]) -> Option<(bool, u32)> {
     }
 }
 
-/// Hands over every packet. Fails at a damaged block, or when the input ends inside one.
+/// Calls `each` with every packet. Fails at a damaged block, or when the input ends inside one.
 pub(super) fn read(
     input: impl BufRead,
     each: impl FnMut(Captured<'_>) -> anyhow::Result<()>,
@@ -83,7 +83,7 @@ fn read_pcap(
         each(Captured {
             number,
             time: time(frame.ts_sec.into(), frame.ts_usec.into(), units.into()),
-            // Upper bits: what is behind a frame.
+            // The upper bits describe what follows a frame.
             link: Linktype(header.network.0 & 0xFFFF),
             octets: frame.data,
         })?;
@@ -125,7 +125,7 @@ fn read_pcapng(
     Ok(())
 }
 
-/// What packets of one interface of a pcapng section have in common.
+/// An interface of a pcapng section.
 #[derive(Debug)]
 struct Interface {
     link: Linktype,
@@ -154,7 +154,7 @@ impl Interface {
     }
 }
 
-/// A point in time; none when it is out of all reason.
+/// A point in time; none when it cannot be printed.
 fn time(seconds: u64, units: u64, per_second: u64) -> Option<SystemTime> {
     let nanoseconds = u128::from(units) * 1_000_000_000 / u128::from(per_second);
     let since = Duration::from_secs(seconds)
@@ -162,18 +162,18 @@ fn time(seconds: u64, units: u64, per_second: u64) -> Option<SystemTime> {
     (since.as_secs() <= LAST_SECOND).then(|| SystemTime::UNIX_EPOCH + since)
 }
 
-/// The input, cut into blocks.
+/// The input, split into blocks.
 struct Blocks<R> {
     input: R,
-    /// What was read of the block at hand.
+    /// What was read of the current block.
     block: Vec<u8>,
     /// Octets read so far.
     read: u64,
 }
 
 impl<R: BufRead> Blocks<R> {
-    /// Reads on until the block at hand has `length` octets. False when the input ends before its
-    /// first one.
+    /// Reads on until the current block has `length` octets. False when the input ends before its first
+    /// octet.
     fn fill(&mut self, length: usize) -> anyhow::Result<bool> {
         ensure!(length <= LONGEST_BLOCK, "{}: it is too long", self.bad_block());
         let missing = length.saturating_sub(self.block.len()) as u64;
@@ -186,10 +186,10 @@ impl<R: BufRead> Blocks<R> {
         Ok(true)
     }
 
-    /// Reads the next pcapng block of a kind that matters, whole. False at the end.
+    /// Reads the next pcapng block of a kind that is needed, completely. False at the end.
     fn next_pcapng(&mut self, big_endian: &mut bool) -> anyhow::Result<bool> {
         loop {
-            // The very first block was begun to tell the format.
+            // Of the first block, four octets were read to find out the format.
             if self.read > 4 {
                 self.block.clear();
             }

@@ -1,15 +1,15 @@
-//! Datagrams as hex text: one a line.
+//! Datagrams as hex text, one a line.
 
 use std::io::{BufRead, Read};
 
 use anyhow::bail;
 
-/// Octets in the longest line: any UDP datagram fits, with blanks and a remark.
+/// Octets in the longest line: enough for any UDP datagram with spaces and a comment.
 const LONGEST_LINE: u64 = 256 * 1024;
 
-/// Hands over the octets of each line that has any, with the line's number.
+/// Calls `each` with the number and the octets of every line that has any.
 ///
-/// Fails at a line that is no hex text. What is in it is not repeated: it may be a password.
+/// Fails at a line that is not hex text. The error does not show the line: it may be a password.
 pub(super) fn read(
     mut input: impl BufRead,
     mut each: impl FnMut(u64, &[u8]) -> anyhow::Result<()>,
@@ -22,7 +22,7 @@ pub(super) fn read(
         }
         let Some(octets) = octets(&line).filter(|_| line.len() < LONGEST_LINE as usize) else {
             bail!(
-                "line {number} is not hex text, and the input no capture: write a datagram as \
+                "line {number} is not hex text, and the input is not a capture: write a datagram as \
                  pairs of hexadecimal digits, or give a pcap or pcapng file"
             );
         };
@@ -33,7 +33,7 @@ pub(super) fn read(
     Ok(())
 }
 
-/// The octets of a line, without its remark.
+/// The octets of a line without its comment.
 fn octets(line: &[u8]) -> Option<Vec<u8>> {
     let text = line.split(|&octet| octet == b'#').next()?;
     let words = text.split(|octet| octet.is_ascii_whitespace() || *octet == b':');

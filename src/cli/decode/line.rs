@@ -1,8 +1,8 @@
-//! A datagram as it is printed. The names of the JSON are those of the Wireshark dissector's fields
-//! behind `pnet.`; a test holds the two together.
+//! A datagram as it is printed. The JSON has the field names of the Wireshark dissector without `pnet.`;
+//! a test compares the two.
 //!
-//! Invariant: nothing is kept of the octets but the fields that were read, and of the password
-//! only whether there is one.
+//! Invariant: of the octets only the decoded fields are kept, and of the password only whether there is
+//! one.
 
 use std::fmt;
 use std::net::SocketAddr;
@@ -21,7 +21,7 @@ use crate::pnet::wire::{
 pub(super) struct Line {
     #[serde(flatten)]
     pub(super) place: Locator,
-    /// Where it is one of several in a payload.
+    /// Only where it is one of several in a payload.
     #[serde(flatten)]
     pub(super) in_row: Option<InRow>,
     #[serde(flatten)]
@@ -56,7 +56,7 @@ pub(super) struct Fields {
     fault: Option<Fault>,
 }
 
-/// What stands in front of the control-status.
+/// Header and route: what comes before the control-status.
 #[derive(Debug, Serialize)]
 struct RouteFields {
     header: String,
@@ -79,7 +79,7 @@ struct IpRoute {
     source_node_address: u8,
 }
 
-/// What stands behind the route.
+/// What comes after the route.
 #[derive(Debug, Serialize)]
 struct Rest {
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -92,7 +92,7 @@ struct Rest {
     password: &'static str,
 }
 
-/// Why it is no datagram, and the first octet that does not fit.
+/// Why it is not a datagram, and the first octet that is wrong.
 #[derive(Debug, Serialize)]
 struct Fault {
     error: String,
@@ -115,7 +115,7 @@ impl Fields {
                 Self { length, route, rest: Some(Rest::of(&datagram)), fault: None }
             }
             Err(error) => {
-                // Where only the length is wrong, the route is sound.
+                // If only the length is wrong, the route can be shown.
                 let package = octets.get(Header::LEN..).unwrap_or_default();
                 let route =
                     Route::parse(package).ok().filter(|_| error == DatagramError::BadLength);
@@ -230,7 +230,7 @@ impl fmt::Display for RouteFields {
     }
 }
 
-/// One end of a route over IP: its net and node, and the elements behind these two.
+/// One end of a route over IP: its net, its node, and the elements after these two.
 fn end(
     f: &mut fmt::Formatter<'_>,
     direction: &str,

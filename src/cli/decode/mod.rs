@@ -1,8 +1,8 @@
 //! `pnet-nat decode`: shows the datagrams of hex text or of a capture.
 //!
-//! `capture` reads pcap and pcapng, `packet` finds the UDP payload in a packet, `hex` reads text,
-//! `row` takes apart what the kernel cuts later, `line` is what is printed. Invariants: no password
-//! is ever printed, and whatever the input, it is read as a stream with a bounded buffer.
+//! `capture` reads pcap and pcapng, `packet` finds the UDP payload in a packet, `hex` reads text, `row`
+//! splits a packet that the kernel would have split later, `line` is what is printed. Invariants: no
+//! password is ever printed, and any input is read as a stream with a bounded buffer.
 
 mod capture;
 mod hex;
@@ -28,30 +28,29 @@ use row::InRow;
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:  pnet-nat decode capture.pcapng --ports 40001-40125\n\
     Example:  tcpdump -i eth0 -U -w - udp | pnet-nat decode --format json -\n\
-    Hex text has a datagram a line: 02000000 04830000. Blanks and colons between octets are left\n\
-    out, and so is what follows #. A capture on the router itself shows some bursts as one packet,\n\
-    for the kernel cuts them later: each datagram has its line, marked like 1 of 11.\n\
-    Exit 1 when the input cannot be read to its end.")]
+    Hex text has one datagram a line: 02000000 04830000. Spaces and colons between octets are\n\
+    ignored, and so is everything after #. A capture on the router itself can show a burst as one\n\
+    packet, because the kernel splits it later: then each datagram has a line, marked like 1 of 11.\n\
+    Exit code 1: the input cannot be read to its end.")]
 pub(super) struct Args {
     /// Hex text, pcap or pcapng; - is the standard input.
     #[arg(value_name = "FILE", default_value = "-")]
     file: PathBuf,
 
-    /// UDP ports in a capture, beside 34378 and 34379, separated by commas: those of UDP Range
-    /// nets.
+    /// UDP ports to show in addition to 34378 and 34379, separated by commas: the public ports.
     #[arg(long, value_name = "PORT[-LAST]", value_delimiter = ',', env = "PNET_NAT_PORTS")]
     ports: Vec<PortRange>,
 
-    /// What every datagram begins with.
+    /// The four octets that every datagram begins with.
     #[arg(long, value_name = "OCTETS", default_value_t, env = "PNET_NAT_HEADER")]
     header: Header,
 
-    /// What is printed: lines for people, or one JSON object a line.
+    /// Output: text for people, or one JSON object a line.
     #[arg(long, value_enum, default_value_t = Format::Text, env = "PNET_NAT_FORMAT")]
     format: Format,
 }
 
-/// `40001-40125`, or `40200`.
+/// A range of ports: `40001-40125`, or one port: `40200`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct PortRange {
     first: u16,
@@ -74,12 +73,12 @@ impl FromStr for PortRange {
         let (first, last) = text.split_once('-').unwrap_or((text, text));
         let port = |text: &str| text.parse::<u16>().context("a port is 1 to 65535");
         let (first, last) = (port(first)?, port(last)?);
-        ensure!(0 < first && first <= last, "ports are like 40001-40125, the lower one first");
+        ensure!(0 < first && first <= last, "write ports like 40001-40125, the lower one first");
         Ok(Self { first, last })
     }
 }
 
-/// Shows everything up to the end of the input.
+/// Shows all datagrams of the input.
 pub(super) fn run(args: Args) -> anyhow::Result<ExitCode> {
     let (input, name): (Box<dyn Read>, _) = if args.file.as_os_str() == "-" {
         (Box::new(stdin()), "standard input".to_owned())
@@ -144,7 +143,7 @@ fn decode(mut input: impl BufRead, args: &Args, out: &mut impl Write) -> anyhow:
         ));
     }
     if shown == 0 {
-        complain("no datagram on the ports looked at; --ports adds those of UDP Range nets");
+        complain("no datagram on these ports; --ports adds others");
     }
     Ok(())
 }

@@ -16,19 +16,19 @@ pub(super) struct Udp<'a> {
     pub(super) length: usize,
 }
 
-/// A link type that is not known here.
+/// A link type that this program does not know.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) struct UnknownLink;
 
-/// The datagram in `packet`; none when it is another protocol's, a fragment, or too short.
+/// The datagram in `packet`; none for another protocol, a fragment, or a packet that is too short.
 pub(super) fn datagram(link: Linktype, packet: &[u8]) -> Result<Option<Udp<'_>>, UnknownLink> {
-    // As some systems number raw IP in their files.
+    // Other numbers of raw IP, used by some systems.
     const RAW_12: Linktype = Linktype(12);
     const RAW_14: Linktype = Linktype(14);
     let layers = match link {
         Linktype::ETHERNET => LaxSlicedPacket::from_ethernet(packet).ok(),
         Linktype::RAW | Linktype::IPV4 | Linktype::IPV6 | RAW_12 | RAW_14 => ip(packet),
-        // Loopback: behind a number of the address family, which the IP version tells as well.
+        // Loopback: after four octets with the address family, which the IP version shows too.
         Linktype::NULL | Linktype::LOOP => packet.get(4..).and_then(ip),
         Linktype::LINUX_SLL => cooked(packet, 14, 16),
         Linktype::LINUX_SLL2 => cooked(packet, 0, 20),
@@ -41,7 +41,7 @@ fn ip(packet: &[u8]) -> Option<LaxSlicedPacket<'_>> {
     LaxSlicedPacket::from_ip(packet).ok()
 }
 
-/// Linux cooked: the protocol stands at an offset of a header that is so long.
+/// Linux cooked capture: `header` is the length of its header, `protocol` the offset of the protocol.
 fn cooked(packet: &[u8], protocol: usize, header: usize) -> Option<LaxSlicedPacket<'_>> {
     let behind = packet.get(header..)?;
     let protocol = u16::from_be_bytes(*packet.get(protocol..)?.first_chunk()?);

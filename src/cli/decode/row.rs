@@ -1,7 +1,7 @@
-//! A payload that is a row of whole datagrams, as a capture on the router itself shows a burst: the
-//! kernel cuts it later (UDP_SEGMENT). All are of one length, only the last may be shorter.
+//! A payload that is a row of whole datagrams. A capture on the router itself shows a burst like that,
+//! since the kernel splits it later (UDP_SEGMENT). All have one length, only the last may be shorter.
 //!
-//! Invariant: every datagram of a row is well-formed, so what is shown of one ends at its own end.
+//! Invariant: every datagram of a row is well-formed, so nothing of the next one is shown with it.
 
 use std::slice::Chunks;
 
@@ -9,24 +9,24 @@ use serde::Serialize;
 
 use crate::pnet::wire::{Datagram, Header, MAX_DATAGRAM, MIN_DATAGRAM};
 
-/// Datagrams that the kernel takes in one message.
+/// The most datagrams in one message to the kernel.
 const MOST: usize = 64;
 
-/// Which datagram of a row it is, from 1, and of how many.
+/// The number of a datagram in its row, from 1, and the length of the row.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub(super) struct InRow {
     pub(super) datagram: usize,
     pub(super) datagrams: usize,
 }
 
-/// The datagrams of a row; none when the payload is a datagram by itself, or no row.
+/// The datagrams of a row; none when the payload is one datagram, or not a row.
 pub(super) fn datagrams(payload: &[u8], header: Header) -> Option<Chunks<'_, u8>> {
     let is_datagram = |octets| Datagram::parse(octets, header).is_ok();
     if is_datagram(payload) {
         return None;
     }
-    // A beginning that is a datagram is that with a password or without: no other length is tried
-    // further than its first one.
+    // Only two lengths make the first chunk a datagram: with password and without. All others fail at
+    // their first chunk.
     (MIN_DATAGRAM..=MAX_DATAGRAM)
         .map(|length| payload.chunks(length))
         .filter(|datagrams| (2..=MOST).contains(&datagrams.len()))

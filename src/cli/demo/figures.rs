@@ -1,5 +1,5 @@
-//! The demo's figures at one moment, gathered from client, stranger, nodes and relay, and whether
-//! they are what they must be. How they are shown is in `table`.
+//! The demo's figures at one moment, from client, stranger, nodes and relay, and the check that they are
+//! right. `table` shows them.
 
 use std::net::SocketAddr;
 use std::time::Duration;
@@ -13,13 +13,13 @@ use super::traffic::{Intrusions, Polled, Traffic};
 /// All figures.
 #[derive(Clone, Debug)]
 pub(super) struct Figures {
-    /// Since the start.
+    /// Time since the start.
     pub(super) elapsed: Duration,
-    /// Node by node.
+    /// One entry for each node.
     pub(super) nodes: Vec<NodeFigures>,
-    /// The stranger's.
+    /// What the stranger has done.
     pub(super) intrusions: Intrusions,
-    /// How many datagrams the relay has dropped for which reason; the reasons that occurred.
+    /// Dropped datagrams by reason, for the reasons that occurred.
     pub(super) dropped: Vec<(DropReason, u64)>,
 }
 
@@ -74,7 +74,7 @@ impl Figures {
         }
     }
 
-    /// What is not as it must be, once everything is at rest; nothing when all went well.
+    /// What is wrong, once everything has stopped; empty when all went well.
     pub(super) fn faults(&self) -> Vec<String> {
         let mut faults: Vec<String> = self.nodes.iter().flat_map(NodeFigures::faults).collect();
         let Intrusions { wrong_passwords, garbage, answered } = self.intrusions;
@@ -84,8 +84,9 @@ impl Figures {
         let intrusions = wrong_passwords + garbage;
         let dropped: u64 = self.dropped.iter().map(|(_, dropped)| dropped).sum();
         if dropped < intrusions {
-            faults
-                .push(format!("of {intrusions} datagrams of the stranger {dropped} were counted"));
+            faults.push(format!(
+                "of {intrusions} datagrams of the stranger only {dropped} were counted"
+            ));
         }
         faults
     }
@@ -201,7 +202,10 @@ pub(super) mod tests {
                 "node 2: responses: received 1000001 ≠ forwarded 1000000 + dropped 0",
             ),
             (|f| f.intrusions.answered = 1, "the stranger was answered 1 times"),
-            (|f| f.dropped.truncate(7), "of 800000 datagrams of the stranger 700000 were counted"),
+            (
+                |f| f.dropped.truncate(7),
+                "of 800000 datagrams of the stranger only 700000 were counted",
+            ),
         ];
         for (break_it, expected) in faults {
             let mut figures = sound();

@@ -1,8 +1,8 @@
 //! `pnet-nat demo`: the whole picture in one process on loopback, with nothing to set up.
 //!
-//! `plant` sets up the server nodes and the relay's configuration, `traffic` is the remote client
-//! and the strangers, `figures` gathers and judges, `table` shows. Here they are started, ended and
-//! taken down. Invariant: the exit code is 0 only if `figures` finds no fault.
+//! `plant` sets up the server nodes and the relay's configuration, `traffic` is the remote client and the
+//! stranger, `figures` collects and checks, `table` shows. Here they are started and stopped. Invariant:
+//! the exit code is 0 only if `figures` finds no fault.
 
 mod figures;
 mod plant;
@@ -36,9 +36,9 @@ use traffic::Traffic;
 /// Show four simulated server nodes, the relay, a remote client and a stranger, all on loopback.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:  pnet-nat demo --seconds 10\n\
-    With --seconds or at Ctrl-C it sums up, and exits 0 only if every answer was right.")]
+    At the end, or at Ctrl-C, it prints a summary. It exits 0 only if every answer was right.")]
 pub(super) struct Args {
-    /// End after this many seconds; without it, at Ctrl-C.
+    /// End after this many seconds; otherwise it ends at Ctrl-C.
     #[arg(
         long,
         value_name = "N",
@@ -48,7 +48,7 @@ pub(super) struct Args {
     seconds: Option<u64>,
 }
 
-/// Runs the demo; fails unless every answer was right and the stranger got none.
+/// Runs the demo; the exit code is 0 only if every answer was right and the stranger got none.
 pub(super) fn run(args: Args) -> anyhow::Result<ExitCode> {
     logging::in_background()?;
     tokio::runtime::Builder::new_current_thread().enable_all().build()?.block_on(demo(args))
@@ -86,7 +86,7 @@ async fn demo(args: Args) -> anyhow::Result<ExitCode> {
     };
     tokio::try_join!(traffic.poll(&ended), traffic.intrude(&ended), showing)?;
 
-    // The nodes go on answering while the relay comes to rest; then the figures are final.
+    // The nodes still answer while the relay stops; after that the figures are final.
     router.shut_down().await;
     let figures = figures();
     let faults = figures.faults();

@@ -1,5 +1,5 @@
-//! The demo's plant: simulated server nodes on loopback, and the relay's configuration in front of
-//! them. Every address and port is chosen so that it is free.
+//! The demo's plant: simulated server nodes on loopback, and the configuration of the relay in front of
+//! them. All addresses and ports are chosen so that they are free.
 
 use std::io;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr, UdpSocket};
@@ -72,7 +72,7 @@ impl Plant {
         Target::new(PUBLIC, self.start_port, Some(self.password.clone()))
     }
 
-    /// What the relay in front of the plant works from.
+    /// The configuration of the relay in front of the plant.
     pub(super) fn config(&self, admin: SocketAddr) -> Config {
         let net = Net {
             allow: vec!["127.0.0.0/8".parse().expect("a network")],
@@ -115,13 +115,13 @@ impl Plant {
     }
 }
 
-/// What a node of the plant answers: the data of the request, and its node address. An answer to
-/// another request, or from another node, does not look like it.
+/// What a node of the plant answers: the data of the request and its node address. So an answer to another
+/// request or from another node is recognised.
 pub(super) fn reading(node_address: u8, request: &[u8]) -> ArrayVec<u8, MAX_DATA> {
     request.iter().copied().take(MAX_DATA - 1).chain([node_address]).collect()
 }
 
-/// The nodes at 127.17.17.x, or in the next subnet where their ports are free.
+/// Binds the nodes at 127.17.17.x, or in the next subnet where their ports are free.
 fn bind_nodes(password: &Password) -> Result<Vec<ServerNode>, ListenError> {
     let mut subnet = 17;
     loop {
@@ -149,8 +149,8 @@ fn bind_subnet(subnet: u8, password: &Password) -> Result<Vec<ServerNode>, Liste
     Ok(nodes)
 }
 
-/// 40000, or the next start port where the ports of all nodes are free. The relay shares its ports
-/// among its own sockets, so a second relay would get them too: a socket that shares nothing tells.
+/// 40000, or the next start port where the ports of all nodes are free. The relay's own sockets share
+/// their ports, so a second relay could bind them too; the sockets used here share nothing and so find out.
 fn free_start_port() -> anyhow::Result<u16> {
     for start_port in (40_000..60_000).step_by(200) {
         let free = |node: u8| UdpSocket::bind((PUBLIC, start_port + u16::from(node))).is_ok();

@@ -1,8 +1,8 @@
-//! How the demo looks: on a terminal a table that is redrawn in place, elsewhere a line a second,
-//! and a summary in the end.
+//! The output of the demo: on a terminal a table that is redrawn in place, otherwise a line a second, and
+//! a summary at the end.
 //!
-//! Invariant: no line of the live table wraps, or redrawing would leave pieces behind. On 80
-//! columns nothing of it is cut off.
+//! Invariant: no line of the live table wraps, since redrawing would then leave parts behind. The table
+//! fits into 80 columns.
 
 use std::fmt::Write as _;
 use std::io::{self, IsTerminal, Write, stdout};
@@ -17,12 +17,12 @@ use crate::cli::output::{Paint, out};
 pub(super) struct Display {
     live: bool,
     paint: Paint,
-    /// Lines of the last table, which the next one replaces.
+    /// How many lines the last table has; the next one replaces them.
     lines: usize,
 }
 
 impl Display {
-    /// Says what is running and where to look.
+    /// Prints what is running and where to look.
     pub(super) fn open(admin: SocketAddr) -> io::Result<Self> {
         let live = stdout().is_terminal();
         let paint = Paint::of_stdout();
@@ -40,17 +40,17 @@ impl Display {
         Ok(Self { live, paint, lines: 0 })
     }
 
-    /// How often [`show`](Self::show) is worth calling.
+    /// How often to call [`show`](Self::show).
     pub(super) fn interval(&self) -> Duration {
         if self.live { Duration::from_millis(200) } else { Duration::from_secs(1) }
     }
 
-    /// Shows the figures of the moment.
+    /// Shows the current figures.
     pub(super) fn show(&mut self, figures: &Figures) -> io::Result<()> {
         if !self.live {
             return writeln!(out(), "{}", line(figures));
         }
-        // A wrapped line would count twice: what a narrow terminal has no room for is cut off.
+        // A wrapped line would take two lines, so a narrow terminal cuts it off.
         write!(out(), "\x1b[?7l")?;
         self.redraw(figures)?;
         write!(out(), "\x1b[?7h")?;
@@ -73,7 +73,7 @@ impl Display {
             writeln!(
                 out,
                 "{tick} every answer was right and none was lost\n\
-                 {tick} the stranger was never answered, and nothing of his reached a node\n\
+                 {tick} the stranger was never answered, and nothing it sent reached a node\n\
                  {tick} received = forwarded + dropped, for every node and direction"
             )?;
         }
@@ -128,7 +128,7 @@ fn table(figures: &Figures, paint: Paint) -> String {
 fn row(node: &NodeFigures, paint: Paint) -> String {
     let polled = node.polled;
     let answers = format!("{:>9}", polled.right);
-    // A request may be under way.
+    // One request may still be waiting for its answer.
     let answers = if polled.wrong == 0 && polled.requests - polled.right <= 1 {
         paint.green(&answers)
     } else {
@@ -163,7 +163,7 @@ fn strangers(figures: &Figures, paint: Paint) -> String {
     text
 }
 
-/// The mean of times whose sum and number are given, in milliseconds.
+/// The mean time in milliseconds.
 fn mean(sum: Duration, number: u64) -> String {
     if number == 0 {
         return "–".into();

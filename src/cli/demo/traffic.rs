@@ -1,7 +1,7 @@
-//! The demo's traffic: a remote client that polls every node, and a stranger who has no password.
+//! The demo's traffic: a remote client that polls every node, and a stranger without the password.
 //!
-//! Both run until they are told to end, the client after its answer is in, the stranger after a
-//! while of listening. Invariant: every datagram of theirs is counted before it is sent.
+//! Both run until they are told to end. The client waits for its last answer, and the stranger listens a
+//! little longer. Invariant: every datagram is counted before it is sent.
 
 use std::cell::{Cell, RefCell};
 use std::time::Duration;
@@ -13,15 +13,15 @@ use crate::pnet::wire::{MAX_DATAGRAM, Password};
 
 use super::plant::{Plant, reading};
 
-/// Between two rounds of the client.
+/// Time between two rounds of the client.
 const POLL_PAUSE: Duration = Duration::from_millis(20);
-/// When the client gives an answer up.
+/// How long the client waits for an answer.
 const POLL_WAIT: Duration = Duration::from_secs(2);
-/// Between two datagrams of the stranger.
+/// Time between two datagrams of the stranger.
 const INTRUSION_PAUSE: Duration = Duration::from_millis(25);
-/// How long the stranger goes on listening in the end.
+/// How long the stranger still listens at the end.
 const LISTEN: Duration = Duration::from_millis(300);
-/// The stranger has a loopback address of his own: his wrong passwords are not the client's.
+/// The stranger has a loopback address of its own, so that its wrong passwords do not throttle the client.
 const STRANGER: &str = "127.0.0.2:0";
 
 /// What the client has seen of one node.
@@ -29,9 +29,9 @@ const STRANGER: &str = "127.0.0.2:0";
 pub(super) struct Polled {
     /// Requests sent.
     pub(super) requests: u64,
-    /// Answers that were right.
+    /// Right answers.
     pub(super) right: u64,
-    /// Answers that were not.
+    /// Wrong answers.
     pub(super) wrong: u64,
     /// Round-trip times of all answers together.
     pub(super) round_trips: Duration,
@@ -40,9 +40,9 @@ pub(super) struct Polled {
 /// What the stranger has done.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Intrusions {
-    /// Sound requests with a wrong password.
+    /// Valid requests with a wrong password.
     pub(super) wrong_passwords: u64,
-    /// Octets that make no sense.
+    /// Datagrams that are not valid.
     pub(super) garbage: u64,
     /// Datagrams that came back.
     pub(super) answered: u64,
@@ -132,8 +132,8 @@ impl Traffic {
         }
     }
 
-    /// Makes and counts a datagram of the stranger: every other one a sound request with a wrong
-    /// password, the others garbage of several kinds.
+    /// Makes and counts a datagram of the stranger: every second one is a valid request with a wrong
+    /// password, the others are garbage of several kinds.
     fn intrusion(&self, number: u32, node_address: u8) -> anyhow::Result<Vec<u8>> {
         let guess = Password::new(fastrand::u64(..).to_ne_bytes());
         let stranger = Target { password: Some(guess), ..self.target.clone() };
@@ -158,12 +158,12 @@ impl Traffic {
     }
 }
 
-/// PAS Figure 10's request: by way of the node, to node 33 on its port 2.
+/// The request of PAS Figure 10: through the node to node 33 on its port 2.
 fn request(node_address: u8, data_octets: &[u8]) -> Request<'_> {
     Request { node_address, beyond: &[2, 33], control_status: 0, data_octets }
 }
 
-/// Turns a sound request into garbage, in one way after the other.
+/// Turns a valid request into garbage, in a different way for each number.
 fn spoil(octets: &mut Vec<u8>, way: u32) {
     match way % 5 {
         0 => octets.as_mut_slice().fill_with(|| fastrand::u8(..)),

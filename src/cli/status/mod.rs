@@ -24,17 +24,17 @@ use crate::harmless::{harmless, harmless_json, harmless_value};
 use snapshot::Snapshot;
 use table::Layout;
 
-/// Show nets and nodes of a running relay: who answers, how fast, and what is dropped.
+/// Show nets and nodes of a running relay: which nodes answer, how fast, and what is dropped.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:  pnet-nat status\n\
     \x20         pnet-nat status --watch --net section-1\n\
     \x20         pnet-nat status --format json | jq '.nets[].silent_nodes'\n\
-    Exit codes: 0 shown, whatever there is to see; 1 no answer, or none of a relay.")]
+    Exit codes: 0 shown, whatever the state; 1 no answer, or not the answer of a relay.")]
 pub(super) struct Args {
     #[command(flatten)]
     relay: admin_server::Options,
 
-    /// How long to wait for the answer.
+    /// How long to wait for each answer.
     #[arg(
         long,
         env = "PNET_NAT_STATUS_TIMEOUT",
@@ -44,15 +44,15 @@ pub(super) struct Args {
     )]
     timeout: Duration,
 
-    /// This net alone.
+    /// Show only this net.
     #[arg(long, value_name = "NAME", env = "PNET_NAT_NET")]
     net: Option<String>,
 
-    /// Every node; without it, of more than 100 only those that are silent.
+    /// Show every node; without it, only the silent ones are shown if there are more than 100.
     #[arg(long, env = "PNET_NAT_FULL", value_parser = BoolishValueParser::new())]
     full: bool,
 
-    /// Show it anew every 2 s, or as often as said, with rates, until Ctrl-C.
+    /// Show it again every 2 s, or at this interval, with rates, until Ctrl-C.
     #[arg(
         long,
         env = "PNET_NAT_WATCH",
@@ -63,7 +63,7 @@ pub(super) struct Args {
     )]
     watch: Option<Duration>,
 
-    /// How it is shown: tables for people, or one JSON object a line.
+    /// Output: tables for people, or one JSON object a line.
     #[arg(
         long,
         env = "PNET_NAT_FORMAT",
@@ -74,7 +74,7 @@ pub(super) struct Args {
     format: Format,
 }
 
-/// Shows it once, or until Ctrl-C.
+/// Shows the status once, or again and again until Ctrl-C.
 pub(super) fn run(args: Args) -> anyhow::Result<ExitCode> {
     let relay = Relay::new(&args)?;
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
@@ -96,7 +96,7 @@ async fn once(args: &Args, relay: &Relay) -> anyhow::Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// Goes on when the relay does not answer: it may do so again.
+/// Goes on when the relay does not answer, since it may answer again later.
 async fn watch(args: &Args, relay: &Relay, interval: Duration) -> anyhow::Result<ExitCode> {
     let mut signals = Signals::new()?;
     let mut before: Option<(Instant, Snapshot)> = None;
@@ -132,7 +132,7 @@ fn json_line(value: &Value) -> String {
     harmless_json(&value.to_string()) + "\n"
 }
 
-/// Shows a table in place of the one before it, as far as the terminal has room.
+/// Shows a table in place of the one before, cut to the height of the terminal.
 fn show(text: &str, format: Format) -> io::Result<()> {
     let mut out = out();
     let (Some((_, height)), Format::Text) = (terminal(), format) else {
@@ -140,11 +140,11 @@ fn show(text: &str, format: Format) -> io::Result<()> {
         return out.flush();
     };
     let room = usize::from(height.0).saturating_sub(2);
-    write!(out, "\x1b[H\x1b[?7l")?; // to the top; lines do not wrap
+    write!(out, "\x1b[H\x1b[?7l")?; // cursor to the top, no wrapping
     for line in text.lines().take(room) {
         writeln!(out, "{line}\x1b[K")?;
     }
-    write!(out, "\x1b[J\x1b[?7h")?; // the rest of what was there goes
+    write!(out, "\x1b[J\x1b[?7h")?; // clear the rest, wrap again
     if let Some(more) = text.lines().count().checked_sub(room).filter(|more| *more > 0) {
         write!(out, "{more} more lines: pnet-nat status, or --net\r")?;
     }
@@ -155,7 +155,7 @@ fn paper(full: bool) -> Layout {
     Layout { paint: Paint::of_stdout(), width: terminal().map(|(width, _)| width.0), full }
 }
 
-/// The size of the terminal that stdout is; none where it is another thing.
+/// The size of the terminal; none if stdout is not a terminal.
 fn terminal() -> Option<(Width, Height)> {
     terminal_size_of(stdout())
 }
@@ -173,9 +173,9 @@ impl Relay {
         Ok(Self { server, net: args.net.clone() })
     }
 
-    /// All that is shown, as one object.
+    /// Everything that is shown, as one object.
     async fn ask(&self) -> anyhow::Result<Value> {
-        // Whatever is in the name, as a query has it.
+        // Percent-encoded as a whole, so that any text is possible.
         let encoded = |net: &String| net.bytes().map(|octet| format!("%{octet:02x}")).collect();
         let query = self.net.as_ref().map(encoded).map(|net: String| format!("?net={net}"));
         let nets = format!("/api/v1/nets{}", query.unwrap_or_default());

@@ -1,4 +1,4 @@
-//! What the API tells, as far as the tables show it.
+//! The part of the API's answers that the tables show.
 
 use std::collections::BTreeMap;
 
@@ -6,14 +6,14 @@ use anyhow::Context;
 use serde::Deserialize;
 use serde_json::Value;
 
-/// One look at a relay.
+/// The state of a relay at one moment.
 #[derive(Debug, Deserialize)]
 pub(super) struct Snapshot {
     pub(super) status: Status,
-    /// By label.
+    /// Explanations by label.
     pub(super) drop_reasons: BTreeMap<String, String>,
     pub(super) nets: Vec<Net>,
-    /// Whether it is one net that was asked for, and not all there are.
+    /// Whether only one net was asked for.
     #[serde(skip)]
     pub(super) is_one_net: bool,
 }
@@ -98,15 +98,15 @@ pub(super) struct Datagrams {
 }
 
 impl Snapshot {
-    /// Takes what is known out of an answer about all nets, or about the one that was asked for.
+    /// Reads an answer about all nets, or about the one that was asked for.
     pub(super) fn read(answer: Value, is_one_net: bool) -> anyhow::Result<Self> {
         let seen: Self =
             serde_json::from_value(answer).context("the relay has another version of the API")?;
         Ok(Self { is_one_net, ..seen })
     }
 
-    /// How often datagrams were dropped, by reason, most frequent first: by the relay, or by the
-    /// kernel before it. What belongs to no net is in there unless one was asked for.
+    /// Dropped datagrams by reason, most frequent first: those of the relay and those of the kernel.
+    /// Includes what belongs to no net, unless one net was asked for.
     pub(super) fn dropped(&self) -> Vec<(String, u64)> {
         let mut all = Vec::new();
         let mut add = |place: &str, counts: &BTreeMap<String, u64>| {
@@ -130,7 +130,7 @@ impl Snapshot {
         sums
     }
 
-    /// About how many addresses have sent wrong passwords: to these nets.
+    /// About how many addresses have sent wrong passwords to these nets.
     pub(super) fn wrong_password_sources(&self) -> u32 {
         match self.nets.as_slice() {
             [net] if self.is_one_net => net.wrong_password_sources,
@@ -140,7 +140,7 @@ impl Snapshot {
 }
 
 impl Traffic {
-    /// Datagrams dropped in both directions.
+    /// Dropped datagrams of both directions.
     pub(super) fn dropped(&self) -> u64 {
         let directions = [&self.request, &self.response];
         directions.iter().flat_map(|direction| direction.dropped_datagrams.values()).sum()

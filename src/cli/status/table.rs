@@ -1,4 +1,4 @@
-//! How a look at a relay is drawn: a few lines about the relay, then nets, nodes and drop reasons.
+//! Draws the state of a relay: a few lines about the relay, then nets, nodes and drop reasons.
 
 use std::collections::BTreeMap;
 use std::fmt::Write;
@@ -9,32 +9,32 @@ use comfy_table::{CellAlignment, ContentArrangement, Table, presets};
 use super::super::output::Paint;
 use super::snapshot::{Net, Node, NotInForce, Reload, Snapshot, Status, Traffic};
 
-/// So many nodes are a list for a person.
+/// The most nodes that are all listed without `--full`.
 const MOST_NODES: u64 = 100;
 
-/// What to do about a silent node; the status page says it at length.
+/// What to do about a silent node; the status page explains it in detail.
 const SILENT: &str = "
-A silent node: ping its server from the router. No answer: its power, cable or address. All of a
-net silent: the way to it, of which send_failed below tells. It is there, and says nothing: its
-Secure port, and its password. unknown_flow below grows: it answers from elsewhere. To ask it as
-the relay does: pnet-nat request --help
+A silent node: ping its server from the router. No reply: check its power, cable and address. All
+nodes of a net silent: check the route to it; send_failed below grows when there is none. It replies
+to ping only: check its Secure port and its password. unknown_flow below grows: it answers from
+another address or port. To ask a node as the relay does: pnet-nat request --help
 ";
 
-/// What it is drawn on.
+/// How it is drawn.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Layout {
     pub(super) paint: Paint,
-    /// Columns; none: any number.
+    /// Columns; none: no limit.
     pub(super) width: Option<u16>,
-    /// Whether every node is drawn.
+    /// Whether every node is listed.
     pub(super) full: bool,
 }
 
-/// An earlier look, and how long ago that was.
+/// An earlier state, and how long ago that was.
 type Earlier<'a> = Option<(Duration, &'a Snapshot)>;
 
 impl Layout {
-    /// Draws it: counts since the start, or rates since an earlier look.
+    /// Draws counts since the start, or rates since an earlier state.
     pub(super) fn draw(self, seen: &Snapshot, earlier: Earlier<'_>, url: &str) -> String {
         let mut text = self.relay(&seen.status, url);
         if !seen.is_one_net {
@@ -60,12 +60,15 @@ impl Layout {
             age(status.uptime_seconds)
         );
         if !status.ready {
-            text += &self.paint.red("It is not relaying: it starts or stops.");
+            text += &self.paint.red("Not relaying: it is starting or stopping.");
             text.push('\n');
         }
         let in_force = age(status.reload.in_force_seconds);
         if status.reload.successful {
-            let _ = writeln!(text, "Last reload successful; this configuration is {in_force} old");
+            let _ = writeln!(
+                text,
+                "Last reload successful; this configuration has been in force for {in_force}"
+            );
         } else {
             for line in not_successful(&status.reload, &in_force) {
                 text += &self.paint.red(&line);
@@ -91,9 +94,9 @@ impl Layout {
             .collect();
         let mut text = match (every, nodes.len()) {
             (true, _) => "\n".to_owned(),
-            (false, 0) => return format!("\nOf {all} nodes none is silent; --full shows them.\n"),
+            (false, 0) => return format!("\nNone of {all} nodes is silent; --full lists them.\n"),
             (false, silent) => {
-                format!("\nThe silent of {all} nodes, {silent}; --full shows all.\n")
+                format!("\nSilent: {silent} of {all} nodes; --full lists all.\n")
             }
         };
         let rows: Vec<_> = nodes.iter().map(|(net, node)| node_row(net, node, earlier)).collect();
@@ -239,7 +242,7 @@ fn node_row(net: &Net, node: &Node, earlier: Earlier<'_>) -> [String; 10] {
     ]
 }
 
-/// A node that nobody has reached since its requests are refused is not merely "never asked".
+/// "refused" for a node that was never asked only because its requests were dropped.
 fn node_state(node: &Node) -> String {
     let refused: u64 = node.traffic.request.dropped_datagrams.values().sum();
     if node.state == "never_asked" && refused > 0 {
@@ -248,7 +251,7 @@ fn node_state(node: &Node) -> String {
     node.state.replace('_', " ")
 }
 
-/// Requests and answers that were passed on: how many, or how many a second since an earlier look.
+/// Forwarded requests and answers: how many, or how many a second since an earlier state.
 fn traffic(now: &Traffic, earlier: Option<(Duration, Option<&Traffic>)>) -> [String; 2] {
     let [request, response]: [fn(&Traffic) -> u64; 2] =
         [|t| t.request.forwarded_datagrams, |t| t.response.forwarded_datagrams];
@@ -259,12 +262,12 @@ fn traffic(now: &Traffic, earlier: Option<(Duration, Option<&Traffic>)>) -> [Str
     })
 }
 
-/// How often a second something was counted since an earlier look.
+/// The rate a second since an earlier state.
 fn rate(ago: Duration, now: u64, before: u64) -> String {
     format!("{:.1}", now.saturating_sub(before) as f64 / ago.as_secs_f64())
 }
 
-/// A time of two digits, which is what the relay gives.
+/// A time with two digits, since the relay gives no more.
 fn duration(seconds: Option<f64>) -> String {
     let Some(seconds) = seconds else { return "–".to_owned() };
     let (figure, unit) = if seconds < 1.0 { (seconds * 1e3, "ms") } else { (seconds, "s") };
@@ -273,7 +276,7 @@ fn duration(seconds: Option<f64>) -> String {
     format!("{figure:.decimals$} {unit}")
 }
 
-/// Roughly how long: its largest unit.
+/// A time rounded to its largest unit.
 fn age(seconds: f64) -> String {
     let unit = [("d", 86_400.0), ("h", 3_600.0), ("min", 60.0)];
     match unit.into_iter().find(|(_, length)| seconds >= 2.0 * length) {
@@ -282,16 +285,18 @@ fn age(seconds: f64) -> String {
     }
 }
 
-/// What the last reload did not bring into force, a line for each.
+/// A line for each part that the last reload did not bring into force.
 fn not_successful(reload: &Reload, in_force: &str) -> Vec<String> {
     let mut lines = Vec::new();
     if let Some(error) = &reload.error {
         lines.push(format!(
-            "Last reload failed; the configuration in force is {in_force} old. The reason: {error}"
+            "Last reload failed: {error}. The configuration before it has been in force for {in_force}."
         ));
         lines.extend(reload.faults.iter().map(|fault| format!("  {fault}")));
     } else {
-        lines.push(format!("Not all of this configuration is in force; it is {in_force} old."));
+        lines.push(format!(
+            "Not all of this configuration is in force; the rest has been for {in_force}."
+        ));
     }
     let item = |NotInForce { what, why }: &NotInForce| format!("  not in force: {what}: {why}");
     lines.extend(reload.not_in_force.iter().map(item));
