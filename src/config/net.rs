@@ -7,12 +7,12 @@ use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::time::Duration;
 
 use crate::nat::{Net, NetKind, RequestRate};
-use crate::pnet::wire::{BNA, NORMAL_PORT, SECURE_PORT, SNA};
+use crate::pnet::wire::{BNA, LAST_NODE, NORMAL_PORT, SECURE_PORT, SNA};
 
 use super::address::{endpoint, is_a_host, is_link_local, network};
 use super::credentials::credentials;
 use super::defaults;
-use super::node_range::{LAST_NODE, NodeRange};
+use super::node_range::nodes;
 use super::report::{SourceSpan, quoted};
 use super::toml_table::{Entry, LONGEST, Section};
 
@@ -221,38 +221,6 @@ fn subnet(entry: &Entry<'_>) -> Option<[u8; 4]> {
         return None;
     }
     Some([a, b, c, 0])
-}
-
-/// Node addresses, in their order.
-fn nodes(entry: &Entry<'_>) -> Vec<u8> {
-    // One bit for each node: a list may repeat all of them very often.
-    let mut nodes = 0_u128;
-    for element in entry.list() {
-        let Some((first, last)) = node_range(&element) else { continue };
-        let these = u128::MAX >> (127 - last) & u128::MAX << first;
-        if nodes & these != 0 {
-            let node = (nodes & these).trailing_zeros();
-            element.fault(format!("node {node} is listed twice"), "name each node once");
-        }
-        nodes |= these;
-    }
-    (1..=LAST_NODE).filter(|node| nodes >> node & 1 == 1).collect()
-}
-
-/// `33` or `"1-4"`.
-fn node_range(entry: &Entry<'_>) -> Option<(u8, u8)> {
-    if entry.is_integer() {
-        return entry.integer(1..=LAST_NODE).map(|node| (node, node));
-    }
-    let text = entry.text()?;
-    match text.parse::<NodeRange>() {
-        Ok(NodeRange(range)) => Some(range.into_inner()),
-        Err(error) => {
-            let problem = format!("{} is not a range of node addresses", quoted(text));
-            entry.fault(problem, error.to_string());
-            None
-        }
-    }
 }
 
 fn check_server_address(entry: &Entry<'_>, address: SocketAddr, node: Option<u8>) {

@@ -3,7 +3,10 @@
 use std::ops::RangeInclusive;
 use std::str::FromStr;
 
-pub(super) use crate::pnet::wire::LAST_NODE;
+use crate::pnet::wire::LAST_NODE;
+
+use super::report::quoted;
+use super::toml_table::Entry;
 
 /// One node address or a run of them, each within 1..=125 (R-11, PAS 8 and 10).
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -32,6 +35,38 @@ fn node_address(text: &str) -> Result<u8, NotANodeRange> {
         .ok()
         .filter(|node_address| (1..=LAST_NODE).contains(node_address))
         .ok_or(NotANodeRange)
+}
+
+/// Node addresses, in their order.
+pub(super) fn nodes(entry: &Entry<'_>) -> Vec<u8> {
+    // One bit for each node: a list may repeat all of them very often.
+    let mut nodes = 0_u128;
+    for element in entry.list() {
+        let Some((first, last)) = node_range(&element) else { continue };
+        let these = u128::MAX >> (127 - last) & u128::MAX << first;
+        if nodes & these != 0 {
+            let node = (nodes & these).trailing_zeros();
+            element.fault(format!("node {node} is listed twice"), "name each node once");
+        }
+        nodes |= these;
+    }
+    (1..=LAST_NODE).filter(|node| nodes >> node & 1 == 1).collect()
+}
+
+/// `33` or `"1-4"`.
+fn node_range(entry: &Entry<'_>) -> Option<(u8, u8)> {
+    if entry.is_integer() {
+        return entry.integer(1..=LAST_NODE).map(|node| (node, node));
+    }
+    let text = entry.text()?;
+    match text.parse::<NodeRange>() {
+        Ok(NodeRange(range)) => Some(range.into_inner()),
+        Err(error) => {
+            let problem = format!("{} is not a range of node addresses", quoted(text));
+            entry.fault(problem, error.to_string());
+            None
+        }
+    }
 }
 
 #[cfg(test)]

@@ -12,8 +12,9 @@ use std::time::Duration;
 use toml::Spanned;
 use toml::de::{DeInteger, DeTable, DeValue};
 
-use super::report::{MISSING, Report, SourceSpan, Unknown, quoted, shortened};
 use crate::pnet::wire::SECURE_PORT;
+
+use super::report::{MISSING, Report, SourceSpan, Unknown, quoted, shortened};
 
 /// The longest time in a setting: more than anybody needs, and safe to add to a clock.
 pub(super) const LONGEST: Duration = Duration::from_secs(24 * 60 * 60);

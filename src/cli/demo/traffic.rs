@@ -9,7 +9,7 @@ use std::time::Duration;
 use tokio::net::UdpSocket;
 
 use crate::peer::{Client, ExchangeError, Request, Target};
-use crate::pnet::wire::{MAX_DATAGRAM, Password};
+use crate::pnet::wire::{LAST_NODE, MAX_DATAGRAM, Password};
 
 use super::plant::{Plant, reading};
 
@@ -139,7 +139,7 @@ impl Traffic {
         let stranger = Target { password: Some(guess), ..self.target.clone() };
         let mut octets = [0; MAX_DATAGRAM];
         let request = request(node_address, b"open");
-        let length = stranger.emit_request(&request, fastrand::u8(1..=125), &mut octets)?;
+        let length = stranger.emit_request(&request, fastrand::u8(1..=LAST_NODE), &mut octets)?;
         let mut octets = octets[..length].to_vec();
         let sound = number.is_multiple_of(2);
         self.count(|intrusions| {
