@@ -5,7 +5,7 @@ use std::collections::{HashMap, HashSet};
 use crate::nat::Credential;
 
 use super::guessable;
-use super::net::name;
+use super::name::name;
 use super::secret::{device_password_file, make_password, password_file, path_of};
 use super::toml_table::{Entry, Section};
 

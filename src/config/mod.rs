@@ -19,6 +19,7 @@ pub(crate) mod fixture;
 mod guessable;
 mod host;
 mod model;
+mod name;
 mod net;
 mod node_range;
 mod odd;

@@ -11,7 +11,6 @@ use std::fmt;
 use std::path::{Path, PathBuf};
 
 use super::excerpt::Lines;
-use super::syntax::Advice;
 use crate::harmless::harmless;
 
 /// How many faults are shown, and how many warnings: enough to correct at a time.
@@ -102,6 +101,15 @@ pub(super) fn shortened(text: &str) -> Cow<'_, str> {
 /// The same, escaped and in quotes.
 pub(super) fn quoted(text: &str) -> String {
     format!("{:?}", shortened(text))
+}
+
+/// What is wrong at a place, and what to do.
+#[derive(Debug)]
+pub(super) struct Advice {
+    /// Path of the key, if it stands on the line.
+    pub(super) key: String,
+    pub(super) problem: String,
+    pub(super) remedy: String,
 }
 
 /// A place in the configuration file.

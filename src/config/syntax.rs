@@ -8,21 +8,12 @@ use std::collections::HashSet;
 use toml::de::DeTable;
 
 use super::excerpt::Lines;
-use super::report::{MOST_TOLD, Report, shortened};
+use super::report::{Advice, MOST_TOLD, Report, shortened};
 
 /// Keys whose value is a list.
 const LISTS: [&str; 3] = ["listen", "nodes", "allow"];
 /// Quotation marks of keyboards and word processors.
 const QUOTES: [char; 10] = ['"', '\'', '“', '”', '„', '‟', '‘', '’', '`', '´'];
-
-/// What is wrong at a place, and what to do.
-#[derive(Debug)]
-pub(super) struct Advice {
-    /// Path of the key, if it stands on the line.
-    pub(super) key: String,
-    pub(super) problem: String,
-    pub(super) remedy: String,
-}
 
 /// Notes each place where the text is not TOML, with advice where there is some.
 pub(super) fn note_faults(report: &Report<'_>, errors: &[toml::de::Error]) {

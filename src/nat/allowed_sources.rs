@@ -13,7 +13,7 @@ use std::sync::Arc;
 use ipnet::{IpNet, Ipv4Net};
 use prefix_trie::joint::map::JointPrefixMap;
 
-use super::table::{Mapping, Net, NetKind};
+use super::net::{Mapping, Net, NetKind};
 
 /// the mask of a plant section is 255.255.255.0.
 const SECTION: u8 = 24;

@@ -13,7 +13,8 @@ use std::sync::atomic::{AtomicU32, AtomicU64, Ordering::Relaxed};
 
 use super::gcra::Gcra;
 use super::ids::NetId;
-use super::table::{Limits, Net, Table};
+use super::net::Net;
+use super::table::{Limits, Table};
 use super::time::Nanos;
 
 /// Places for flows, in each net and in the router as a whole (RFC 6888 REQ-11), and the requests

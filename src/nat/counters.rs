@@ -8,41 +8,16 @@ use std::collections::HashMap;
 use std::hash::Hash;
 use std::net::IpAddr;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 
+use super::counter::Counter;
 use super::ids::{MappingId, NetId};
 use super::last_sender::LastSender;
+use super::net::{Mapping, Net};
 use super::reason::{CloseReason, Direction, DropReason};
 use super::response_times::ResponseTimes;
 use super::source_sketch::SourceSketch;
-use super::table::{Mapping, Net, Table};
+use super::table::Table;
 use super::time::Nanos;
-
-/// A number with one writer and any number of readers.
-#[derive(Debug, Default)]
-pub struct Counter(AtomicU64);
-
-impl Counter {
-    /// Adds `n`. Called by the one writer only.
-    pub fn add(&self, n: u64) {
-        self.0.store(self.0.load(Relaxed).wrapping_add(n), Relaxed);
-    }
-
-    /// Takes `n` away. Called by the one writer only.
-    pub fn sub(&self, n: u64) {
-        self.0.store(self.0.load(Relaxed).wrapping_sub(n), Relaxed);
-    }
-
-    /// Sets the value. Called by the one writer only.
-    pub fn set(&self, value: u64) {
-        self.0.store(value, Relaxed);
-    }
-
-    /// The value now.
-    pub fn get(&self) -> u64 {
-        self.0.load(Relaxed)
-    }
-}
 
 /// What is counted for one node and direction.
 #[derive(Debug, Default)]

@@ -1,13 +1,12 @@
 //! What the core asks of the world around it: sockets, the system's routes, and the audit log.
 
-use std::net::SocketAddr;
+use std::net::{IpAddr, SocketAddr};
 
-use super::core::Arrival;
 use super::flow::FlowRecord;
-use super::ids::{MappingId, NetId, UpstreamId};
+use super::ids::{ListenerId, MappingId, NetId, UpstreamId};
 use super::reason::CloseReason;
 use super::table::Table;
-use super::throttle::Throttled;
+use super::throttled::Throttled;
 
 /// What the core asks of the world around it. It is called when a flow opens or closes and when
 /// throttling begins or ends, not for each datagram. Where nothing is said, a method does nothing.
@@ -41,7 +40,12 @@ pub trait Effects {
     /// Whether the system could send an answer to this client: not if the address is a subnet's
     /// broadcast address, or no route leads there. Asked before a flow is opened. By default, it
     /// could.
-    fn can_answer(&mut self, _arrival: &Arrival) -> bool {
+    fn can_answer(
+        &mut self,
+        _listener: ListenerId,
+        _public_address: IpAddr,
+        _client: SocketAddr,
+    ) -> bool {
         true
     }
 

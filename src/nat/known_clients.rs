@@ -13,9 +13,9 @@ use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 use foldhash::fast::FixedState;
 
 use super::ids::NetId;
-use super::table::{Net, Table};
+use super::net::Net;
+use super::table::Table;
 use super::time::Nanos;
-use super::transition::same_credential;
 
 const SETS: usize = 1024;
 const WAYS: usize = 8;
@@ -54,7 +54,7 @@ impl Known {
         let era = self.era + 1;
         let of_net = |is: &Net| {
             let stays = |was: &Net| {
-                was.credentials.iter().all(|credential| same_credential(credential, is).is_some())
+                was.credentials.iter().all(|credential| is.same_credential(credential).is_some())
             };
             let mut known = old.nets().iter().zip(&self.nets);
             let same = known.find(|(was, _)| was.name == is.name);

@@ -6,7 +6,7 @@
 
 use std::time::Duration;
 
-use super::counters::Counter;
+use super::counter::Counter;
 
 /// Upper bounds of the histogram for Prometheus, in seconds; one more bucket takes the rest.
 pub const RESPONSE_BUCKETS: [f64; 10] =

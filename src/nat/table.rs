@@ -8,112 +8,11 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use foldhash::fast::FixedState;
-use ipnet::IpNet;
-use subtle::ConditionallySelectable;
 
 use super::allowed_sources::Sources;
-use super::gcra::RequestRate;
 use super::ids::{MappingId, NetId};
-use super::protocol::{Header, Password};
-
-/// The two kinds of nets.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum NetKind {
-    /// A block of public ports, one for each node: start port + node address (PAS 5.2.6, 8 d).
-    UdpRange {
-        /// UDPPort in the client's IPNetTable.
-        start_port: u16,
-    },
-    /// One server outside any range.
-    Server,
-}
-
-/// One plant section, or one single server: its clients and its rules.
-#[derive(Clone, Debug)]
-pub struct Net {
-    /// Name in metrics, logs and the API; unique in the table.
-    pub name: String,
-    /// UDP Range net or single server.
-    pub kind: NetKind,
-    /// Networks that clients may send from; see [`Table::allows`].
-    pub allow: Vec<IpNet>,
-    /// The passwords of the net; empty only with `allow_without_password`.
-    pub credentials: Vec<Credential>,
-    /// Requests without a password pass. PAS 7 forbids it, so it has to be configured.
-    pub allow_without_password: bool,
-    /// Responses without a password are dropped.
-    pub require_response_password: bool,
-    /// A flow ends after this time without a datagram in either direction (RFC 4787 REQ-5).
-    pub idle_timeout: Duration,
-    /// Flows that may be open at once.
-    pub max_flows: u32,
-    /// Requests a second of all clients together; none: any number.
-    pub max_requests: Option<RequestRate>,
-    /// Requests a second of each flow; none: any number.
-    pub max_flow_requests: Option<RequestRate>,
-}
-
-impl Net {
-    /// A net that no client may use yet: it has no networks and no passwords. Flows end after five
-    /// minutes (RFC 4787 REQ-5 recommends them), and nothing has a limit.
-    pub fn new(name: impl Into<String>, kind: NetKind) -> Self {
-        Self {
-            name: name.into(),
-            kind,
-            allow: Vec::new(),
-            credentials: Vec::new(),
-            allow_without_password: false,
-            require_response_password: false,
-            idle_timeout: Duration::from_secs(5 * 60),
-            max_flows: u32::MAX,
-            max_requests: None,
-            max_flow_requests: None,
-        }
-    }
-
-    /// Index of the credential with this password. All passwords of the net are compared, so that
-    /// the time does not depend on them.
-    #[inline]
-    pub fn credential(&self, password: &[u8; Password::LEN]) -> Option<u16> {
-        let mut found = u16::MAX;
-        for (index, credential) in (0..).zip(&self.credentials) {
-            found.conditional_assign(&index, credential.password.matches(password));
-        }
-        (found != u16::MAX).then_some(found)
-    }
-}
-
-/// One of a net's passwords.
-#[derive(Clone, Debug)]
-pub struct Credential {
-    /// Name in metrics and logs.
-    pub name: String,
-    /// What clients send.
-    pub password: Password,
-    /// What the servers expect, if that is another password. It takes the place of the client's in
-    /// a request, and gives it back in a response.
-    pub device_password: Option<Password>,
-}
-
-impl Credential {
-    /// The password that servers expect in a request and put into a response.
-    pub fn at_server(&self) -> &Password {
-        self.device_password.as_ref().unwrap_or(&self.password)
-    }
-}
-
-/// One element of the NAT table (PAS 5.2.6): a public port and the server node behind it.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Mapping {
-    /// The net it belongs to.
-    pub net: NetId,
-    /// P-NET node address of the server, 1 to [`LAST_NODE`](crate::pnet::wire::LAST_NODE).
-    pub node_address: u8,
-    /// UDP port of the router to which clients send.
-    pub public_port: u16,
-    /// The server's address and Secure UDP port.
-    pub server: SocketAddr,
-}
+use super::net::{Mapping, Net};
+use super::protocol::Header;
 
 /// Limits of the router as a whole.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

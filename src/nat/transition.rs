@@ -7,9 +7,10 @@ use std::collections::{BTreeSet, HashMap};
 
 use super::flow::Flow;
 use super::ids::{ListenerId, MappingId, NetId};
+use super::net::Credential;
 use super::reason::CloseReason;
 use super::rules::Rules;
-use super::table::{Credential, Net, Table};
+use super::table::Table;
 
 /// Which mappings, credentials and sockets of one table are in the next.
 #[derive(Debug)]
@@ -45,7 +46,7 @@ impl Transition {
             })
         });
         let credentials = old.nets().iter().zip(&nets).map(|(was, is)| {
-            let same = |credential: &Credential| same_credential(credential, new.net((*is)?));
+            let same = |credential: &Credential| new.net((*is)?).same_credential(credential);
             was.credentials.iter().map(same).collect()
         });
         Self { mappings: mappings.collect(), credentials: credentials.collect(), gone }
@@ -81,12 +82,4 @@ impl Transition {
         };
         Ok(FlowTarget { mapping, credential })
     }
-}
-
-/// Index of the credential of this net with the same two passwords, the clients' and the servers'.
-pub(super) fn same_credential(was: &Credential, net: &Net) -> Option<u16> {
-    net.credential(was.password.octets()).filter(|&index| {
-        let is = &net.credentials[usize::from(index)];
-        bool::from(is.at_server().matches(was.at_server().octets()))
-    })
 }

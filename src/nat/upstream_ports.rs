@@ -18,10 +18,11 @@ use slab::Slab;
 use super::budget::PairPlace;
 use super::effects::Effects;
 use super::ids::UpstreamId;
+use super::net::Mapping;
 use super::queue::Queue;
 use super::reason::DropReason;
 use super::rules::Rules;
-use super::table::{Mapping, Table};
+use super::table::Table;
 use super::time::Nanos;
 
 /// How long a pair rests after its flow has ended.

@@ -1,10 +1,10 @@
 //! What a worker does for its core: sockets, the system's routes, the audit log.
 
-use std::net::SocketAddr;
+use std::net::{IpAddr, SocketAddr};
 use std::sync::Arc;
 
 use crate::nat::{
-    Arrival, CloseReason, Effects, FlowRecord, MappingId, NetId, Table, Throttled, UpstreamId,
+    CloseReason, Effects, FlowRecord, ListenerId, MappingId, NetId, Table, Throttled, UpstreamId,
 };
 use crate::observe::audit::Audit;
 use crate::observe::warnings::RateLimitedWarnings;
@@ -53,8 +53,12 @@ impl Effects for WorkerEffects {
         options::is_own(address, self.upstream.ports()).unwrap_or(false)
     }
 
-    fn can_answer(&mut self, arrival: &Arrival) -> bool {
-        let Arrival { listener, public_address, client, .. } = *arrival;
+    fn can_answer(
+        &mut self,
+        listener: ListenerId,
+        public_address: IpAddr,
+        client: SocketAddr,
+    ) -> bool {
         let listener = self.public.get(listener);
         listener.is_none_or(|listener| way_back::exists(listener, public_address, client))
     }

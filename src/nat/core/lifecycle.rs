@@ -28,7 +28,8 @@ impl Core {
         effects: &mut impl Effects,
     ) -> Result<FlowId, DropReason> {
         let mapping = self.rules.table.mapping(arrival.mapping);
-        if !effects.can_answer(arrival) {
+        let Arrival { listener, public_address, client, .. } = *arrival;
+        if !effects.can_answer(listener, public_address, client) {
             self.rules.budget.give_request(mapping.net);
             return Err(DropReason::Unanswerable);
         }

@@ -3,8 +3,8 @@
 //! These checks need nothing but the octets. Who sent them, and whether the password is right, is
 //! checked in `core`.
 
+use crate::nat::net::Net;
 use crate::nat::reason::DropReason;
-use crate::nat::table::Net;
 use crate::pnet::wire::{self, Datagram, DatagramError, RouteFormat};
 
 pub(in crate::nat) use crate::pnet::wire::{Header, Password, replace_password};

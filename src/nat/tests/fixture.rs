@@ -2,7 +2,7 @@
 //! request and of its answer, and a worker around the core.
 
 use std::collections::BTreeSet;
-use std::net::SocketAddr;
+use std::net::{IpAddr, SocketAddr};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -108,9 +108,9 @@ impl Effects for Sockets {
         self.closed_sockets.push(id);
     }
 
-    fn can_answer(&mut self, arrival: &Arrival) -> bool {
+    fn can_answer(&mut self, _: ListenerId, _: IpAddr, client: SocketAddr) -> bool {
         self.looked_for += 1;
-        !self.no_way.contains(&arrival.client.ip().to_string().as_str())
+        !self.no_way.contains(&client.ip().to_string().as_str())
     }
 
     fn flow_closed(&mut self, table: &Table, flow: &FlowRecord, reason: CloseReason) {

@@ -10,7 +10,6 @@
 
 #[cfg(test)]
 mod tests;
-mod throttled;
 
 use std::hash::{BuildHasher, Hasher};
 use std::net::{IpAddr, SocketAddr};
@@ -21,9 +20,8 @@ use foldhash::fast::SeedableRandomState;
 use super::effects::Effects;
 use super::gcra::Gcra;
 use super::table::Limits;
+use super::throttled::{ThrottleScope, Throttled};
 use super::time::Nanos;
-
-pub use throttled::{ThrottleScope, Throttled};
 
 const SETS: usize = 512;
 const WAYS: usize = 4;
