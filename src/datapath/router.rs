@@ -24,7 +24,7 @@ use crate::datapath::socket::port_pool::Ports;
 use crate::datapath::socket::setup::{self, Missing, Opened, StartError};
 use crate::datapath::socket::worker::{Shared, Worker};
 use crate::listen;
-use crate::observe::audit::Audit;
+use crate::logging::audit::Audit;
 
 /// How long a worker may take to tell its flows.
 const ANSWER_TIME: Duration = Duration::from_secs(1);

@@ -1,11 +1,14 @@
-//! The log: events on stderr, one a line.
+//! The log: events on stderr, one a line; and what bounds those that others cause: the audit log and
+//! warnings.
 //!
 //! The relay goes on whatever happens to stderr. Lines wait until it can be written to; when too many
 //! wait, further ones are lost, and [`lines_lost`] counts them.
 
+pub(crate) mod audit;
 mod json;
 mod queue;
 mod text;
+pub(crate) mod warnings;
 
 use std::borrow::Cow;
 use std::error::Error;

@@ -89,7 +89,7 @@ fn every_event_of_the_code_is_on_the_page() {
         include_str!("../../src/cli/run.rs"),
         include_str!("../../src/reload.rs"),
         include_str!("../../src/datapath/reload.rs"),
-        include_str!("../../src/observe/audit.rs"),
+        include_str!("../../src/logging/audit.rs"),
     ] {
         let source = source.replace("tracing::field", "field");
         // The message is the text that ends a call; those with a name in braces are made elsewhere.

@@ -3,11 +3,11 @@
 use std::net::{IpAddr, SocketAddr};
 use std::sync::Arc;
 
+use crate::logging::audit::Audit;
+use crate::logging::warnings::RateLimitedWarnings;
 use crate::nat::{
     CloseReason, Effects, FlowRecord, ListenerId, MappingId, NetId, Table, Throttled, UpstreamId,
 };
-use crate::observe::audit::Audit;
-use crate::observe::warnings::RateLimitedWarnings;
 
 use super::public::Listeners;
 use super::sys::options;

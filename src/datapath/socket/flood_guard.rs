@@ -8,7 +8,7 @@ use crate::nat::{ListenerId, Table};
 use crate::datapath::kernel_filter::flood::FloodWatch;
 use crate::datapath::kernel_filter::request;
 use crate::datapath::socket::public::{Listener, Listeners};
-use crate::observe::warnings::RateLimitedWarnings;
+use crate::logging::warnings::RateLimitedWarnings;
 
 /// Filters turned on in one wake-up; the other sockets that are flooded have theirs in the next ones.
 const ON_AT_ONCE: usize = 8;

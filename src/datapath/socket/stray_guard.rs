@@ -8,8 +8,8 @@ use std::time::Instant;
 use crate::config::{Datapath, Prefilter};
 use crate::datapath::kernel_filter;
 use crate::datapath::kernel_filter::flood::FloodWatch;
+use crate::logging::warnings::RateLimitedWarnings;
 use crate::nat::{Table, UpstreamId};
-use crate::observe::warnings::RateLimitedWarnings;
 
 use super::upstream::{Upstream, UpstreamSockets};
 

@@ -7,8 +7,8 @@ use std::sync::Arc;
 
 use nix::sys::epoll::Epoll;
 
+use crate::logging::warnings::RateLimitedWarnings;
 use crate::nat::{Table, UpstreamId};
-use crate::observe::warnings::RateLimitedWarnings;
 
 use super::event_key::EventKey;
 use super::filtered::{FilteredSocket, NetDrops};

@@ -9,8 +9,8 @@ use crate::datapath::commands::{Command, WorkerReload};
 use crate::datapath::socket::busy_poll::BusyPoll;
 use crate::datapath::socket::effects::WorkerEffects;
 use crate::datapath::socket::public::Listeners;
+use crate::logging::warnings::RateLimitedWarnings;
 use crate::nat::Table;
-use crate::observe::warnings::RateLimitedWarnings;
 
 use super::Worker;
 

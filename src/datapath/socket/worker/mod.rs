@@ -32,8 +32,8 @@ use crate::datapath::socket::sys::batch::Batch;
 use crate::datapath::socket::sys::epoll_wait::wait;
 use crate::datapath::socket::ticker::Ticker;
 use crate::datapath::socket::upstream::UpstreamSockets;
-use crate::observe::audit::Audit;
-use crate::observe::warnings::RateLimitedWarnings;
+use crate::logging::audit::Audit;
+use crate::logging::warnings::RateLimitedWarnings;
 
 /// How long a stopping worker waits for one more answer before it looks whether any is due.
 const DRAIN_TICK: Duration = Duration::from_millis(20);
