@@ -5,7 +5,7 @@
 //!
 //! The tables of the TOML are read key by key instead of by `serde`. `serde` stops at the first fault,
 //! and after it nothing of the file has been checked; it also keeps no place for faults that show only
-//! when several keys are compared, such as two nets that claim one port. So [`toml_table`] keeps the
+//! when several keys are compared, such as two nets that claim one port. So `toml_table` keeps the
 //! line and path of each value, and a value that cannot be read counts as absent while reading goes on.
 
 mod address;
