@@ -5,6 +5,7 @@
 //! wait, further ones are lost, and [`lines_lost`] counts them.
 
 pub(crate) mod audit;
+mod faults;
 mod json;
 mod queue;
 mod text;
@@ -23,10 +24,11 @@ use anstream::{AutoStream, ColorChoice};
 use tracing::{Level, Metadata};
 use tracing_subscriber::fmt::MakeWriter;
 
-use crate::config::Faults;
 use crate::harmless::harmless_lines;
 use crate::thread::ThreadError;
 
+pub use faults::complain_of_faults;
+pub(crate) use faults::log_faults;
 use json::Json;
 use queue::{LOG, Line, Pen};
 
@@ -116,30 +118,6 @@ pub fn complain(message: impl Display) {
         tracing::error!(error = message.trim_start_matches("pnet-nat: ").trim_end(), "failed");
     } else {
         LOG.push(Line::of(harmless_lines(&message) + "\n"));
-    }
-}
-
-/// Tells the user all faults of a configuration that cannot be used.
-pub fn complain_of_faults(faults: &Faults) {
-    if COMPLAINS_IN_JSON.load(Relaxed) {
-        log_faults(faults);
-        complain("the configuration is not sound");
-    } else {
-        complain(faults);
-    }
-}
-
-/// Logs one event for each fault.
-pub(crate) fn log_faults(faults: &Faults) {
-    for fault in &faults.0 {
-        tracing::error!(
-            file = %fault.file.display(),
-            line = fault.line,
-            key = fault.key,
-            problem = fault.problem,
-            remedy = fault.remedy,
-            "configuration fault"
-        );
     }
 }
 

@@ -87,6 +87,7 @@ fn every_event_of_the_code_is_on_the_page() {
     let mut written = BTreeSet::new();
     for source in [
         include_str!("../../src/cli/run.rs"),
+        include_str!("../../src/logging/faults.rs"),
         include_str!("../../src/reload.rs"),
         include_str!("../../src/datapath/reload.rs"),
         include_str!("../../src/logging/audit.rs"),
