@@ -14,7 +14,7 @@ pub(super) const IDLE_TIMEOUT: Duration = Duration::from_secs(5 * 60);
 pub(super) const MAX_FLOWS: u32 = 65_536;
 /// `wrong_password_burst`.
 pub(super) const WRONG_PASSWORD_BURST: u16 = 10;
-/// `wrong_password_address_burst` is so many times `wrong_password_burst`.
+/// `wrong_password_address_burst` divided by `wrong_password_burst`.
 pub(super) const SENDERS_OF_AN_ADDRESS: u32 = 512;
 /// `wrong_password_interval`.
 pub(super) const WRONG_PASSWORD_INTERVAL: Duration = Duration::from_secs(6);

@@ -74,7 +74,7 @@ pub enum Prefilter {
     Off,
 }
 
-/// A text that is no value of `prefilter`.
+/// A text that is not a value of `prefilter`.
 #[derive(Debug, thiserror::Error)]
 #[error("choose \"auto\", \"always\" or \"off\"")]
 pub struct NotAPrefilter;

@@ -40,7 +40,7 @@ fn is_blank(octet: u8) -> bool {
     matches!(octet, b' ' | b'\t' | b'\r' | b'\n')
 }
 
-/// What is hardly meant at the beginning or end.
+/// What is probably not intended at the beginning or end.
 fn blank(octet: u8) -> Option<String> {
     if octet == b' ' { Some("a space".into()) } else { inside(octet) }
 }
