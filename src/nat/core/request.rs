@@ -71,7 +71,7 @@ impl Core {
         if open.is_none() {
             self.check_sender(now, arrival, mapping.net, effects)?;
         }
-        let credential = self.check_password(now, arrival, &request, open, effects)?;
+        let credential = self.check_password(now, arrival, mapping.net, &request, open, effects)?;
         request.is_for(mapping.node_address)?;
         if open.is_none() && arrival.comes_back(effects) {
             return Err(DropReason::Loop);
@@ -85,12 +85,19 @@ impl Core {
         flow.paid_until = paid_until;
         flow.asked_with(credential);
         flow.last_used = now;
-        let via = flow.upstream;
-        if let Some(credential) = credential {
-            self.accept(now, arrival, id, credential, octets);
+        if let Some(index) = credential.map(usize::from) {
+            if flow.noted == 0 || now - flow.noted >= NOTED_AGAIN {
+                flow.noted = now;
+                self.rules.known.note(mapping.net, arrival.client.ip(), now);
+            }
+            self.counters.accepted(mapping.net)[index].add(1);
+            let credential = &self.rules.table.net(mapping.net).credentials[index];
+            if let Some(device) = &credential.device_password {
+                protocol::replace_password(octets, device);
+            }
         }
         let asks = request.confirmed.then_some(id);
-        Ok(ToServer { via, server: mapping.server, asks })
+        Ok(ToServer { via: flow.upstream, server: mapping.server, asks })
     }
 
     /// Who may send to a net without an open flow.
@@ -128,6 +135,7 @@ impl Core {
         &mut self,
         now: Nanos,
         arrival: &Arrival,
+        net: NetId,
         request: &Request,
         open: Option<FlowId>,
         effects: &mut impl Effects,
@@ -135,8 +143,7 @@ impl Core {
         let Some(password) = &request.password else {
             return Ok(None); // Request::parse let it pass: the net allows it (A4)
         };
-        let table = &self.rules.table;
-        let credential = table.net(table.mapping(arrival.mapping).net).credential(password);
+        let credential = self.rules.table.net(net).credential(password);
         if credential.is_none() {
             if open.is_none() {
                 self.throttle.wrong_password(now, arrival.client, effects);
@@ -167,31 +174,6 @@ impl Core {
             Ok(paid_until)
         } else {
             Err(DropReason::RequestLimit)
-        }
-    }
-
-    /// Notes that a request passes with this credential, and exchanges its password for the one
-    /// that the server expects.
-    #[inline]
-    fn accept(
-        &mut self,
-        now: Nanos,
-        arrival: &Arrival,
-        id: FlowId,
-        credential: u16,
-        octets: &mut [u8],
-    ) {
-        let table = &self.rules.table;
-        let net = table.mapping(arrival.mapping).net;
-        let flow = self.flows.get_mut(id);
-        if flow.noted == 0 || now - flow.noted >= NOTED_AGAIN {
-            flow.noted = now;
-            self.rules.known.note(net, arrival.client.ip(), now);
-        }
-        self.counters.accepted(net)[usize::from(credential)].add(1);
-        let credential = &table.net(net).credentials[usize::from(credential)];
-        if let Some(device) = &credential.device_password {
-            protocol::replace_password(octets, device);
         }
     }
 }

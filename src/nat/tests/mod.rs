@@ -4,5 +4,6 @@
 mod attackers;
 mod fixture;
 mod handover;
+mod order;
 mod silence;
 mod simulation;
