@@ -491,9 +491,13 @@ fn the_commands_of_remedies_work_as_they_are_told() {
         let pasted = remedy.split('`').nth(1).expect("a command");
         assert!(pasted.starts_with(command), "{file}: {remedy}");
         assert!(!remedy.contains("PASSWORD"), "{remedy}");
-        let done = std::process::Command::new("sh").args(["-c", pasted]).status().unwrap();
-        assert!(done.success(), "{pasted}");
-        assert_eq!(told(folder.path(), &text), None, "{file}: {pasted}");
+        let is_sound = || {
+            let done = std::process::Command::new("sh").args(["-c", pasted]).status().unwrap();
+            assert!(done.success(), "{pasted}");
+            told(folder.path(), &text).is_none()
+        };
+        // One password in 700 that is made at random is refused as guessable, and made again.
+        assert!((0..4).any(|_| is_sound()), "{file}: {pasted}");
     }
     for (file, command) in [
         ("absent", "(umask 077; openssl rand -hex 16 > "),
