@@ -6,6 +6,7 @@ use std::time::Duration;
 
 use crate::datapath::{ActiveConfig, Router};
 use crate::nat::{Direction, DropReason, MappingId};
+use crate::observe::totals::{DirectionTotals, NodeTotals};
 
 use super::plant::Plant;
 use super::traffic::{Intrusions, Polled, Traffic};
@@ -126,26 +127,22 @@ fn mappings(router: &ActiveConfig) -> impl Iterator<Item = MappingId> {
 }
 
 fn relayed(router: &ActiveConfig, mapping: MappingId, direction: Direction) -> Relayed {
-    let mut sum = Relayed { received: 0, forwarded: 0, dropped: 0 };
-    for counters in &router.counters {
-        let counters = counters.node(mapping).direction(direction);
-        sum.received += counters.received.get();
-        sum.forwarded += counters.forwarded.get();
-        sum.dropped += counters.dropped_total();
-    }
-    sum
+    let node = NodeTotals::of_node(&router.counters, mapping);
+    let totals = node.direction(direction);
+    let &DirectionTotals { received, forwarded, .. } = totals;
+    Relayed { received, forwarded, dropped: totals.dropped_total() }
 }
 
 fn dropped(router: &ActiveConfig) -> Vec<(DropReason, u64)> {
+    let table = &router.config.table;
+    let of_net = |net| NodeTotals::of_net(&router.counters, table, net);
+    let nets: Vec<_> = table.net_ids().map(of_net).collect();
     let mut dropped = Vec::new();
     for &reason in Direction::ALL.iter().flat_map(|direction| direction.drop_reasons()) {
-        let of = |direction| -> u64 {
-            let nodes = router.counters.iter().flat_map(|worker| {
-                mappings(router).map(|mapping| worker.node(mapping).direction(direction))
-            });
-            nodes.map(|counters| counters.dropped(reason).get()).sum()
+        let of = |net: &NodeTotals| -> u64 {
+            Direction::ALL.map(|direction| net.direction(direction).dropped(reason)).iter().sum()
         };
-        let count = Direction::ALL.into_iter().map(of).sum();
+        let count = nets.iter().map(of).sum();
         if count > 0 && !dropped.iter().any(|&(listed, _)| listed == reason) {
             dropped.push((reason, count));
         }
