@@ -1,7 +1,8 @@
-//! What is in force from one reload to the next.
+//! The configuration in force, from one reload to the next.
 //!
-//! Who reads takes the whole and reads it to the end, so that figures and the table that they belong
-//! to fit together. A retired one still tells its last figures, but holds no socket open.
+//! A reader takes the whole [`ActiveConfig`] and keeps it until it has read everything. So its
+//! figures and its table belong together. A retired configuration still tells its last figures, but
+//! holds no socket open.
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -12,20 +13,20 @@ use crate::nat::{Counters, NetId, Rules};
 use crate::datapath::socket::filtered::{KernelDrops, NetDrops};
 use crate::datapath::socket::public::Listeners;
 
-/// A configuration, and what is counted under it.
+/// A configuration, and what is counted while it is in force.
 #[derive(Debug)]
 pub struct ActiveConfig {
     /// The configuration.
     pub config: Config,
-    /// What the workers work from.
+    /// What the workers decide by.
     pub(in crate::datapath) rules: Rules,
-    /// The counters of each worker; a figure of the router is their sum.
+    /// The counters of each worker. A figure of the relay is the sum over the workers.
     pub counters: Vec<Arc<Counters>>,
-    /// Of each net.
+    /// What the kernel dropped on the public sockets of each net.
     drops: Vec<Arc<NetDrops>>,
-    /// Of the upstream sockets, which belong to no net.
+    /// What the kernel dropped on the upstream sockets, which belong to no net.
     pub(in crate::datapath) upstream_drops: Arc<NetDrops>,
-    /// Of each worker.
+    /// The public sockets of each worker.
     listeners: Mutex<Vec<Listeners>>,
 }
 
@@ -51,29 +52,29 @@ impl ActiveConfig {
         self.drops[usize::from(net.0)].get()
     }
 
-    /// Datagrams that the kernel dropped on upstream sockets, up to a second late.
+    /// Datagrams that the kernel dropped on upstream sockets. The figure may be a second old.
     pub fn upstream_kernel_drops(&self) -> KernelDrops {
         self.upstream_drops.get()
     }
 
     /// The public sockets of each worker.
     pub(in crate::datapath) fn listeners(&self) -> MutexGuard<'_, Vec<Listeners>> {
-        // It is only ever read, or emptied.
+        // The list is only read or emptied, so it is whole even after a panic.
         self.listeners.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// What the kernel dropped, by net.
+    /// What the kernel dropped, for each net.
     pub(in crate::datapath) fn drops(&self) -> &[Arc<NetDrops>] {
         &self.drops
     }
 
-    /// What the kernel dropped, by the names of the nets.
+    /// What the kernel dropped, under the name of each net.
     pub(in crate::datapath) fn drops_by_name(&self) -> HashMap<&str, &Arc<NetDrops>> {
         let names = self.config.table.nets().iter().map(|net| net.name.as_str());
         names.zip(&self.drops).collect()
     }
 
-    /// Lets go of the sockets.
+    /// Lets go of the public sockets.
     pub(in crate::datapath) fn retire(&self) {
         self.listeners().clear();
     }

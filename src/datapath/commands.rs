@@ -1,4 +1,4 @@
-//! What the control plane asks of a worker, whatever datapath it is.
+//! What the control plane asks of a worker, for every kind of datapath.
 
 use std::sync::Arc;
 use std::sync::mpsc::SyncSender;
@@ -13,21 +13,20 @@ use super::socket::public::Listeners;
 
 /// What a worker is asked to do.
 pub(in crate::datapath) enum Command {
-    /// Say that you are alive.
+    /// Answer, to show that the worker is alive.
     Ping(Sender<()>),
-    /// Send up to so many flows, and the table that they belong to.
+    /// Send at most this many flows, with the table that they belong to.
     Flows(usize, Sender<(Arc<Table>, Vec<FlowRecord>)>),
-    /// Go over to another configuration, and tell how many flows were closed by it when all have
-    /// gone over.
+    /// Go over to another configuration. When all flows have gone over, tell how many were closed.
     Reload(Box<WorkerReload>, SyncSender<usize>),
-    /// Close upstream sockets whose ports are wanted for something else, each as soon as its last
-    /// answers are in, and tell when there is none left.
+    /// Close the upstream sockets whose ports are wanted for something else, each as soon as its
+    /// last answers are in. Tell when none of them is left.
     CloseLeft(SyncSender<()>),
-    /// Take no more requests, wait for answers until then at the latest, and end.
+    /// Take no more requests, wait for answers until this time at the latest, and end.
     Drain(Instant),
 }
 
-/// What a worker needs of another configuration.
+/// What a worker needs to go over to another configuration.
 pub(in crate::datapath) struct WorkerReload {
     pub succession: Succession,
     pub listeners: Listeners,

@@ -1,25 +1,25 @@
-//! How the last reload went, for who asks later: metrics, the API, the status page.
+//! How the last reload went. Metrics, the API and the status page ask for this later.
 
 use std::time::Instant;
 
 use crate::config::NotInForce;
 
-/// How the last reload went; at first, the start.
+/// How the last reload went. Before the first reload, it stands for the start.
 #[derive(Clone, Debug)]
 pub struct LastReload {
-    /// Reloads that have begun since the start.
+    /// Number of reloads that have begun since the start.
     pub begun: u64,
-    /// Which of them the rest tells of; 0: the start.
+    /// Number of the reload that the other fields tell of. 0 stands for the start.
     pub number: u64,
-    /// Why it changed nothing.
+    /// Why the reload changed nothing.
     pub error: Option<String>,
-    /// The faults of its configuration, one a line, as far as they are the reason.
+    /// The faults of the configuration, one per line, where they are the reason.
     pub faults: Vec<String>,
-    /// Settings of the active configuration that need a restart.
+    /// Settings of the configuration in force that need a restart.
     pub(in crate::datapath) settled: Vec<NotInForce>,
-    /// Its public sockets that could not be opened yet.
+    /// Public sockets of the configuration in force that could not be opened yet.
     pub(in crate::datapath) missing: Vec<NotInForce>,
-    /// When the active configuration came into force.
+    /// When the configuration in force came into force.
     pub success_at: Instant,
 }
 
@@ -38,17 +38,18 @@ impl Default for LastReload {
 }
 
 impl LastReload {
-    /// Whether all of the configuration that was last read is in force.
+    /// Whether all of the configuration that was read last is in force.
     pub fn successful(&self) -> bool {
         self.error.is_none() && self.settled.is_empty() && self.missing.is_empty()
     }
 
-    /// What the last sound configuration has and what is not in force all the same.
+    /// The parts of the last sound configuration that are not in force.
     pub fn not_in_force(&self) -> impl Iterator<Item = &NotInForce> {
         self.settled.iter().chain(&self.missing)
     }
 
-    /// Notes how the reload that has begun ended: why it changed nothing, or that it is in force.
+    /// Notes how the reload that has begun ended. `failed` tells why it changed nothing; without
+    /// it, the configuration is in force.
     pub(in crate::datapath) fn ended(&mut self, failed: Option<(String, Vec<String>)>) {
         self.number = self.begun;
         match failed {

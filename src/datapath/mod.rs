@@ -1,7 +1,7 @@
-//! The datapath: what carries datagrams between sockets and the [NAT](crate::nat).
+//! The datapath carries datagrams between sockets and the [NAT](crate::nat).
 //!
 //! `router` is the control plane: it starts workers, gives them another configuration and tells how
-//! they are. `socket` is a datapath of UDP sockets, with the only unsafe code of the program in
+//! they are. `socket` is a datapath of UDP sockets; the only unsafe code of the program is in
 //! `socket::sys`. `kernel_filter` makes the small programs that the kernel runs on those sockets.
 
 mod active_config;

@@ -1,8 +1,9 @@
-//! Another configuration for a router at work.
+//! Gives another configuration to a running router.
 //!
-//! One that is sound comes into force, whatever becomes of single sockets: what it withdraws is
-//! withdrawn. Each worker goes over between two datagrams, and the rest of the program sees the new
-//! one as a whole. What cannot be had is named; missing sockets are tried again later.
+//! A sound configuration comes into force even when single sockets cannot be opened, so that what
+//! it withdraws is certainly withdrawn. Each worker goes over between two datagrams. The rest of
+//! the program sees the new configuration as a whole. The sockets that cannot be opened are named,
+//! and are tried again later.
 
 use std::collections::BTreeMap;
 use std::sync::mpsc;
@@ -23,35 +24,36 @@ use crate::datapath::socket::handle::Handle;
 use crate::datapath::socket::public::Listeners;
 use crate::datapath::socket::setup::{self, Missing, Opened};
 
-/// How long a reload waits for the relay's own upstream sockets, where they are in the way of public
-/// ones and take last answers. After that they are missing for a while.
+/// How long a reload waits for the relay's own upstream sockets that hold a wanted public port and
+/// still wait for last answers. After that time the public sockets count as missing.
 const LAST_ANSWERS: Duration = Duration::from_millis(500);
 
-/// The workers are ending.
+/// The error while the workers are ending.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("the relay is stopping")]
 pub struct Stopping;
 
-/// What came of another configuration.
+/// The outcome of a reload.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Reloaded {
-    /// How it differs from the one before.
+    /// How the new configuration differs from the one before.
     #[serde(flatten)]
     pub changes: Changes,
-    /// Flows that had no place in it.
+    /// Flows that were closed because the new configuration has no place for them.
     pub flows_closed: usize,
-    /// What it has and what is not in force all the same.
+    /// The parts of the new configuration that are not in force.
     pub not_in_force: Vec<NotInForce>,
 }
 
 impl Router {
-    /// Notes that a reload begins; [`reload`](Self::reload) or [`refuse_reload`](Self::refuse_reload)
-    /// ends it.
+    /// Notes that a reload begins. [`reload`](Self::reload) or
+    /// [`refuse_reload`](Self::refuse_reload) ends it.
     pub fn begin_reload(&self) {
         Arc::make_mut(&mut lock(&self.last_reload)).begun += 1;
     }
 
-    /// Notes that the reload changed nothing: why, and the faults of its configuration, one a line.
+    /// Notes that the reload changed nothing. `error` tells why; `faults` are the faults of its
+    /// configuration, one per line.
     pub fn refuse_reload(&self, error: String, faults: Vec<String>) {
         Arc::make_mut(&mut lock(&self.last_reload)).ended(Some((error, faults)));
     }
@@ -65,13 +67,13 @@ impl Router {
         outcome
     }
 
-    /// Whether public sockets are still to be had; see [`retry`](Self::retry).
+    /// Whether public sockets are missing. [`retry`](Self::retry) tries to open them.
     pub fn misses_sockets(&self) -> bool {
         !lock(&self.last_reload).missing.is_empty()
     }
 
     /// Tries again to open the public sockets that are missing. Blocks until every worker has those
-    /// that were had.
+    /// that could be opened.
     pub fn retry(&self) {
         let _changing = self.changing.blocking_lock();
         if self.is_ready()
@@ -95,14 +97,15 @@ impl Router {
         let drops_of = |net: &Net| known.get(net.name.as_str()).copied().cloned();
         let drops = config.table.nets().iter().map(|net| drops_of(net).unwrap_or_default());
         let drops: Vec<_> = drops.collect();
-        // No new upstream socket gets in the way of a new public one.
+        // So no new upstream socket gets in the way of a new public one.
         self.ports.keep_out_of(&[&old.config, &config]);
         let Opened { listeners, mut missing } = self.open(&config, &drops, &old);
         let flows_closed = self.go_over(&old, config, drops, listeners)?;
         drop(old);
         self.ports.keep_out_of(&[&self.in_force().config]);
         if !missing.is_empty() {
-            // What the old configuration had is free now, and soon what upstream sockets have.
+            // The ports of the old configuration are free now. Those of upstream sockets are free
+            // soon.
             self.close_left();
             missing = self.open_missing()?;
         }
@@ -114,8 +117,8 @@ impl Router {
         Ok(Reloaded { changes, flows_closed, not_in_force })
     }
 
-    /// Has the workers close upstream sockets whose ports are wanted for public ones: each when its
-    /// last answers are in. Waits for that, but not for long.
+    /// Has the workers close the upstream sockets whose ports are wanted for public ones, each when
+    /// its last answers are in. Waits for that, but not for long.
     fn close_left(&self) {
         let end = Instant::now() + LAST_ANSWERS;
         let ask = |worker: &Handle| {
@@ -125,12 +128,14 @@ impl Router {
         };
         let answers: Vec<_> = self.workers.iter().map(ask).collect();
         for answer in answers {
-            // None within the time, or from a worker that ends: what is missing is tried again.
+            // There is no answer in time, or the worker is ending. The missing sockets are tried
+            // again later.
             let _ = answer.recv_timeout(end.saturating_duration_since(Instant::now()));
         }
     }
 
-    /// Opens what is missing of the configuration in force, and tells what still is.
+    /// Opens the missing sockets of the configuration in force, and returns those that are still
+    /// missing.
     fn open_missing(&self) -> Result<Vec<Missing>, Stopping> {
         let now = self.in_force();
         let drops = now.drops().to_vec();
@@ -149,7 +154,7 @@ impl Router {
         Ok(missing)
     }
 
-    /// The sockets of a configuration, watched by the workers' epoll.
+    /// Opens the public sockets of a configuration, and has the workers' epoll watch them.
     fn open(&self, config: &Config, drops: &[Arc<NetDrops>], old: &ActiveConfig) -> Opened {
         let share = descriptors::share(addresses(config), self.workers.len());
         let before = old.listeners().clone();
@@ -166,8 +171,8 @@ impl Router {
         opened
     }
 
-    /// Has the workers go over to another configuration with these sockets, and tells how many flows
-    /// were closed by it.
+    /// Has the workers go over to another configuration with these sockets, and returns how many
+    /// flows were closed.
     fn go_over(
         &self,
         old: &ActiveConfig,
@@ -202,7 +207,7 @@ impl Router {
         }
         let mut flows_closed = 0;
         for answer in answers {
-            // None comes from a worker that has panicked: it takes the process along.
+            // An answer is missing only when a worker has panicked, and a panic ends the process.
             flows_closed += answer.recv().map_err(|_| Stopping)?;
         }
         if config.datapath.receive_buffer != old.config.datapath.receive_buffer {
@@ -217,7 +222,7 @@ impl Router {
     }
 }
 
-/// The places of sockets that are not in `before`.
+/// The places of the sockets that are not in `before`.
 fn new_ones(listeners: &[Listeners], before: &[Listeners]) -> Vec<ListenerId> {
     let (Some(now), Some(before)) = (listeners.first(), before.first()) else { return Vec::new() };
     now.iter().map(|(id, _)| id).filter(|&id| !now.keeps(id, before)).collect()
@@ -225,7 +230,7 @@ fn new_ones(listeners: &[Listeners], before: &[Listeners]) -> Vec<ListenerId> {
 
 fn resize_buffers(config: &Config, listeners: &[Listeners]) {
     for (_, listener) in listeners.iter().flat_map(Listeners::iter) {
-        // What the kernel did not grant is told below.
+        // Where the kernel grants less, the line below tells so.
         let _ = listener.socket.socket().set_recv_buffer_size(config.datapath.receive_buffer);
     }
     setup::tell_short_buffers(config, listeners);

@@ -1,7 +1,7 @@
-//! The router as the rest of the program sees it: started with a configuration, asked for figures,
-//! given another configuration, stopped.
+//! The control plane, as the rest of the program sees it. A [`Router`] is started with a
+//! configuration, asked for figures, given another configuration and stopped.
 //!
-//! Every socket is bound before the first worker runs, so a router starts whole or not at all.
+//! Every socket is bound before the first worker runs, so a router starts as a whole or not at all.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock};
@@ -26,7 +26,7 @@ use crate::datapath::socket::worker::{Shared, Worker};
 use crate::listen;
 use crate::logging::audit::Audit;
 
-/// How long a worker may take to tell its flows.
+/// How long the workers may take to send their flows.
 const ANSWER_TIME: Duration = Duration::from_secs(1);
 
 /// A running router.
@@ -37,23 +37,23 @@ pub struct Router {
     /// Held while the workers go over to another configuration, or are told to end.
     pub(in crate::datapath) changing: tokio::sync::Mutex<()>,
     audit: Arc<Audit>,
-    /// Of the upstream sockets.
+    /// The ports of the upstream sockets.
     pub(in crate::datapath) ports: Arc<Ports>,
     pub(in crate::datapath) workers: Vec<Handle>,
-    /// Each is dropped by its worker at its end.
+    /// For each worker, a channel whose other end the worker drops when it ends.
     ends: Mutex<Vec<oneshot::Receiver<()>>>,
     ready: AtomicBool,
     started: Instant,
 }
 
-/// A router with all of its sockets and none of its threads.
+/// A router that has all of its sockets and no thread yet.
 pub struct Bound {
     router: Router,
     workers: Vec<Worker>,
 }
 
 impl Bound {
-    /// Starts the workers. They inherit what the calling thread may do.
+    /// Starts the workers. They inherit the permissions of the calling thread.
     pub fn start(self) -> Result<Router, StartError> {
         let Self { mut router, workers } = self;
         let mut ends = Vec::new();
@@ -127,7 +127,7 @@ impl Router {
         Ok(Bound { router, workers })
     }
 
-    /// A router without sockets and threads, for tests of what asks it for figures.
+    /// A router without sockets and threads, to test the code that asks a router for figures.
     #[cfg(test)]
     pub(crate) fn idle(config: Config, workers: usize) -> Arc<Self> {
         let counters = (0..workers).map(|_| Arc::new(Counters::new(&config.table))).collect();
@@ -150,8 +150,8 @@ impl Router {
         })
     }
 
-    /// Takes no more requests, waits for the answers that are due, at most for the configured drain
-    /// time, and ends the workers. Done once they have ended.
+    /// Takes no more requests, waits for the answers that are due, and ends the workers. It waits
+    /// at most for the configured drain time, and returns when the workers have ended.
     pub async fn shut_down(&self) {
         self.ready.store(false, Ordering::Release);
         {
@@ -161,7 +161,7 @@ impl Router {
         }
         let ends = std::mem::take(&mut *lock(&self.ends));
         for end in ends {
-            // A worker that panicked has told so itself.
+            // A worker that panicked has reported that itself.
             let _ = end.await;
         }
     }
@@ -176,7 +176,7 @@ impl Router {
         Arc::clone(&lock(&self.last_reload))
     }
 
-    /// What bounds the audit log.
+    /// The audit log, which limits its own lines.
     pub(crate) fn audit(&self) -> &Audit {
         &self.audit
     }
@@ -186,14 +186,14 @@ impl Router {
         self.ready.load(Ordering::Acquire)
     }
 
-    /// When the router started; [`NodeCounters::last_response`](crate::nat::NodeCounters) counts
-    /// from here.
+    /// When the router started. [`NodeCounters::last_response`](crate::nat::NodeCounters) counts
+    /// from this time.
     pub fn started(&self) -> Instant {
         self.started
     }
 
-    /// Up to `limit` open flows, by the table that they belong to. Asks the workers; none when one
-    /// of them does not answer within a second, or has ended.
+    /// Returns up to `limit` open flows, with the table that they belong to. It asks the workers,
+    /// and returns nothing when one of them does not answer within a second or has ended.
     pub async fn flows(&self, limit: usize) -> Option<Vec<(Arc<Table>, Vec<FlowRecord>)>> {
         let mut flows = self.ask(ANSWER_TIME, |reply| Command::Flows(limit, reply)).await?;
         let mut left = limit;
@@ -209,13 +209,13 @@ impl Router {
         self.ask(within, Command::Ping).await.is_some()
     }
 
-    /// What the workers answer, if each of them does within this time.
+    /// Asks the workers. Returns their answers, if each worker answers within this time.
     async fn ask<T>(
         &self,
         time: Duration,
         command: impl Fn(tokio::sync::mpsc::Sender<T>) -> Command,
     ) -> Option<Vec<T>> {
-        // Room for all answers: no worker waits for somebody to take his.
+        // There is room for all answers, so no worker waits until its answer is taken.
         let (reply, mut answers) = tokio::sync::mpsc::channel(self.workers.len().max(1));
         self.workers.iter().for_each(|worker| worker.ask(command(reply.clone())));
         drop(reply);
@@ -230,12 +230,12 @@ impl Router {
     }
 }
 
-/// Sockets that each worker needs for its public ports.
+/// Number of sockets that each worker needs for its public ports.
 pub(in crate::datapath) fn addresses(config: &Config) -> usize {
     config.table.mappings().len() * config.listen.len()
 }
 
-/// What a poisoned lock guards here is whole all the same: it is changed in one step.
+/// Locks even after a panic: what these locks guard is changed in one step, so it is always whole.
 pub(in crate::datapath) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

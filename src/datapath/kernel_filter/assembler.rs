@@ -1,4 +1,5 @@
-//! Classic BPF programs in the making: what the kernel refuses on a socket before it is queued.
+//! Builds classic BPF programs, which tell the kernel what to refuse on a socket before it is
+//! queued.
 
 use std::hint;
 use std::io;
@@ -6,39 +7,41 @@ use std::io;
 use libc::{BPF_JMP, BPF_K, BPF_RET};
 use socket2::{SockFilter, Socket};
 
-/// Most steps of a program, its two ends apart: a jump reaches 255 steps.
+/// The most steps of a program, without the two steps at its end. A jump reaches no further than
+/// 255 steps.
 pub(in crate::datapath) const MOST_STEPS: usize = 255;
 
-/// Where a step leads. By name until the whole program is known.
+/// Where a step leads. The names become distances when the whole program is known.
 #[derive(Clone, Copy)]
 pub(in crate::datapath) enum To {
     Next,
-    /// So many steps behind the next one.
+    /// Over this number of steps, counted from the next one.
     Skip(u8),
     Accept,
     Refuse,
 }
 
-/// A program without its two ends: it refuses what comes to its last step and goes on from there.
+/// A program without the two steps at its end, one of which refuses and the other accepts. A
+/// datagram that passes the last step here goes on to the step that refuses.
 ///
-/// Passwords may be in it, so it is wiped when it is dropped.
+/// Passwords may be in the program, so it is wiped when it is dropped.
 pub(in crate::datapath) struct Program(Vec<(u32, u32, To, To)>);
 
 impl Program {
     pub(in crate::datapath) fn new() -> Self {
-        Self(Vec::with_capacity(MOST_STEPS)) // it never moves, and so leaves nothing behind
+        Self(Vec::with_capacity(MOST_STEPS)) // it never moves, so no copy of a password is left
     }
 
     pub(in crate::datapath) fn step(&mut self, code: u32, k: u32) {
         self.0.push((code, k, To::Next, To::Next));
     }
 
-    /// Goes on one way where a comparison of the accumulator with `k` holds, and another where not.
+    /// Compares the accumulator with `k`, and goes on to `holds` or to `fails`.
     pub(in crate::datapath) fn compare(&mut self, comparison: u32, k: u32, holds: To, fails: To) {
         self.0.push((BPF_JMP | comparison | BPF_K, k, holds, fails));
     }
 
-    /// Puts the program on a socket, in the place of another, from one datagram to the next.
+    /// Attaches the program to a socket. It replaces another program between two datagrams.
     pub(in crate::datapath) fn attach(&self, socket: &Socket) -> io::Result<()> {
         let refuse = self.0.len();
         assert!(refuse <= MOST_STEPS);

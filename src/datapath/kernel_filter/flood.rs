@@ -1,13 +1,14 @@
-//! When there is a flood, and when it is over: whether a filter in the kernel pays.
+//! Tells when a flood begins and when it is over. Only during a flood does a filter in the kernel
+//! pay.
 
 use std::time::Duration;
 
 /// Watches for a flood, to tell when a filter in the kernel pays.
 #[derive(Debug, Default)]
 pub(in crate::datapath) struct FloodWatch {
-    /// Which tenth of a second it is, since the router's start.
+    /// The number of the current tenth of a second, counted from the start of the relay.
     window: u64,
-    /// Datagrams in this window that a filter would have refused the worker.
+    /// Datagrams in this window that a filter would have kept from the worker.
     refused: usize,
     /// The kernel's figure at the last look.
     dropped: u32,
@@ -15,13 +16,13 @@ pub(in crate::datapath) struct FloodWatch {
 }
 
 impl FloodWatch {
-    /// So many in a tenth of a second are a flood.
+    /// This many datagrams in a tenth of a second are a flood.
     pub(in crate::datapath) const FLOOD: usize = 100;
-    /// And so many of one worker, where no net has that many.
+    /// This many datagrams of one worker are a flood too, where no net has a flood of its own.
     pub(in crate::datapath) const FLOOD_OF_WORKER: usize = 10 * Self::FLOOD;
-    /// Fewer between two looks are quiet,
+    /// Fewer dropped datagrams than this between two looks are quiet.
     const QUIET: u32 = 100;
-    /// and so many quiet looks are peace. A worker looks about once a second.
+    /// After this many quiet looks the flood is over. A worker looks about once a second.
     const QUIET_LOOKS: u32 = 10;
 
     /// Notes `refused` more datagrams, and tells whether a flood has begun.
@@ -39,7 +40,7 @@ impl FloodWatch {
         self.refused >= flood
     }
 
-    /// Takes the kernel's figure, and tells whether the flood is over.
+    /// Notes the kernel's figure of dropped datagrams, and tells whether the flood is over.
     pub(in crate::datapath) fn over(&mut self, dropped: u32) -> bool {
         let new = dropped.wrapping_sub(std::mem::replace(&mut self.dropped, dropped));
         self.quiet_looks = if new < Self::QUIET { self.quiet_looks + 1 } else { 0 };

@@ -1,6 +1,6 @@
-//! Programs that the kernel runs on datagrams before a worker wakes up: classic BPF.
+//! Programs in classic BPF that the kernel runs on datagrams before a worker wakes up.
 //!
-//! A module turns the NAT table into a program; none of them has unsafe code.
+//! Each module turns the NAT table into a program. None of them has unsafe code.
 
 pub(in crate::datapath) mod assembler;
 pub(in crate::datapath) mod flood;

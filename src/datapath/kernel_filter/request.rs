@@ -1,9 +1,10 @@
-//! The kernel's part of the checks: a classic BPF program on a public socket refuses what cannot
-//! pass, before it is queued, copied, or wakes the worker.
+//! The kernel's part of the checks: a classic BPF program on a public socket, the request filter.
+//! It refuses a datagram that cannot pass before the datagram is queued or copied, or wakes the
+//! worker.
 //!
-//! It looks at lengths, header and password, on a socket of all addresses also at where a datagram
-//! was sent to, never at who sent it, and never refuses what the relay would accept: what it cannot
-//! decide it lets through. It needs no privilege.
+//! The program looks at lengths, header and password. On a socket of all addresses it also looks at
+//! the address that a datagram was sent to. It never looks at the sender. It never refuses what the
+//! relay would accept: where it cannot decide, it lets the datagram through. It needs no privilege.
 
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr};
 
@@ -18,27 +19,28 @@ use crate::pnet::wire::{self, Header, Password};
 
 use crate::datapath::kernel_filter::assembler::{Program, To};
 
-/// More passwords than that are not compared in the kernel: a program is too long for them.
+/// The most passwords that the kernel compares. With more of them the program would be too long.
 const MOST_PASSWORDS: usize = 40;
 
-/// Offset of the destination address, counted from the IPv4 header, and from the IPv6 header.
+/// Offset of the destination address, counted from the IPv4 header and from the IPv6 header.
 const IPV4_DESTINATION: u32 = libc::SKF_NET_OFF as u32 + 16;
 const IPV6_DESTINATION: u32 = libc::SKF_NET_OFF as u32 + 24;
-/// Offset of the datagram in what the program sees, which begins with the UDP header.
+/// Offset of the datagram. What the program sees begins with the UDP header.
 const DATAGRAM: u32 = 8;
 const ROUTE: u32 = DATAGRAM + Header::LEN as u32;
-/// Data-field-format: behind the route and control-status, both of which it is counted from.
+/// Offset of the data-field-format, to which the length of the route is added: it stands behind the
+/// route and the one octet of control-status.
 const DATA_FIELD_FORMAT: u32 = ROUTE + 1;
-/// Control-status and data-field-format.
+/// Octets of control-status and data-field-format.
 const CONTROL: u32 = 2;
 const PASSWORD: u32 = Password::LEN as u32;
 
-/// Bit 8 of a route octet: a source.
+/// Bit 8 of a route octet. It marks a source address.
 const SOURCE: u32 = 0x80;
 /// Bits of the data-field-format that count data octets.
 const DATA_SIZE: u32 = 0x3f;
 
-/// Whether two nets of two tables have the same program.
+/// Whether a net of one table and a net of another have the same program.
 pub(in crate::datapath) fn is_same(one: (&Table, NetId), other: (&Table, NetId)) -> bool {
     let (net, other_net) = (one.0.net(one.1), other.0.net(other.1));
     let same = |(one, other): (&Credential, &Credential)| {
@@ -50,8 +52,9 @@ pub(in crate::datapath) fn is_same(one: (&Table, NetId), other: (&Table, NetId))
         && net.credentials.iter().zip(&other_net.credentials).all(same)
 }
 
-/// Whether the prefilter is_refused_by_filter the worker most of the datagrams that are dropped for this reason.
-/// Whoever may not send, or is throttled, hardly ever has a password.
+/// Whether the request filter keeps most of the datagrams that are dropped for this reason from the
+/// worker. The filter does not look at the sender, but a sender that is not allowed or is throttled
+/// hardly ever has a right password.
 pub(in crate::datapath) fn is_refused_by_filter(reason: DropReason) -> bool {
     match reason {
         DropReason::NotUnicast
@@ -78,13 +81,14 @@ pub(in crate::datapath) fn is_refused_by_filter(reason: DropReason) -> bool {
     }
 }
 
-/// Refuses on a public socket what its net would refuse. A socket of one address gets nothing that
-/// was sent to another; `listen` tells whether this is one.
+/// Makes the program that refuses, on a public socket, what its net would refuse. `listen` is the
+/// address of the socket. The program checks the destination only on a socket of all addresses,
+/// because a socket of one address gets no datagram that was sent to another.
 pub(in crate::datapath) fn program(header: Header, net: &Net, listen: IpAddr) -> Program {
     let shortest =
         if net.allow_without_password { wire::MIN_DATAGRAM } else { wire::MIN_SECURE_DATAGRAM };
     let mut program = Program::new();
-    // A broadcast to one network alone does not look like one.
+    // The broadcast address of a single network cannot be told from other addresses here.
     match listen {
         IpAddr::V4(Ipv4Addr::UNSPECIFIED) => {
             program.step(BPF_LD | BPF_W | BPF_ABS, IPV4_DESTINATION);
@@ -98,7 +102,7 @@ pub(in crate::datapath) fn program(header: Header, net: &Net, listen: IpAddr) ->
         }
         _ => {}
     }
-    // Length of the datagram; kept in M[0].
+    // The length of the datagram. It is kept in M[0].
     program.step(BPF_LD | BPF_W | BPF_LEN, 0);
     program.step(BPF_ALU | BPF_SUB | BPF_K, DATAGRAM);
     program.compare(BPF_JGE, shortest as u32, To::Next, To::Refuse);
@@ -107,7 +111,7 @@ pub(in crate::datapath) fn program(header: Header, net: &Net, listen: IpAddr) ->
     // Header.
     program.step(BPF_LD | BPF_W | BPF_ABS, DATAGRAM);
     program.compare(BPF_JEQ, u32::from_be_bytes(header.0), To::Next, To::Refuse);
-    // Two destinations; then two sources (Extended), or the remaining-route-length (IP).
+    // Two destinations, then two sources (Extended) or the remaining-route-length (IP).
     for octet in 0..2 {
         program.step(BPF_LD | BPF_B | BPF_ABS, ROUTE + octet);
         program.compare(BPF_JSET, SOURCE, To::Refuse, To::Next);
@@ -119,17 +123,18 @@ pub(in crate::datapath) fn program(header: Header, net: &Net, listen: IpAddr) ->
     program.step(BPF_ALU | BPF_ADD | BPF_K, 3);
     program.step(BPF_MISC | BPF_TAX, 0);
     program.step(BPF_JMP | BPF_JA, 3);
-    // Extended: likewise.
+    // Extended: the length of the route goes to X too.
     program.step(BPF_LD | BPF_B | BPF_ABS, ROUTE + 3);
     program.compare(BPF_JSET, SOURCE, To::Next, To::Refuse);
     program.step(BPF_LDX | BPF_IMM, 4);
-    // Header, route, control and data octets; in X, as the offset of what follows them.
+    // The length of header, route, control and data octets goes to X. It is the offset of the
+    // octets behind them.
     program.step(BPF_LD | BPF_B | BPF_IND, DATA_FIELD_FORMAT);
     program.step(BPF_ALU | BPF_AND | BPF_K, DATA_SIZE);
     program.step(BPF_ALU | BPF_ADD | BPF_X, 0);
     program.step(BPF_ALU | BPF_ADD | BPF_K, Header::LEN as u32 + CONTROL);
     program.step(BPF_MISC | BPF_TAX, 0);
-    // What follows is a password, or nothing where that is allowed.
+    // A password stands behind them, or nothing where the net allows that.
     program.step(BPF_LD | BPF_MEM, 0);
     program.step(BPF_ALU | BPF_SUB | BPF_X, 0);
     if net.allow_without_password {
@@ -147,7 +152,7 @@ pub(in crate::datapath) fn program(header: Header, net: &Net, listen: IpAddr) ->
         program.step(BPF_LD | BPF_W | BPF_IND, DATAGRAM + 4);
         program.compare(BPF_JEQ, u32::from_be_bytes([e, f, g, h]), To::Accept, To::Next);
     }
-    // No password fits: on to the end that refuses.
+    // No password fits: the program goes on to the end that refuses.
     program
 }
 
@@ -180,7 +185,7 @@ mod tests {
         }
     }
 
-    /// The kernel's own word: whether a datagram gets through to a socket with the program.
+    /// Asks the kernel whether a datagram gets through to a socket with the program.
     struct Gate {
         inside: UdpSocket,
         outside: UdpSocket,
@@ -200,12 +205,12 @@ mod tests {
         fn lets_through(&self, octets: &[u8]) -> bool {
             self.outside.send(octets).unwrap();
             let mut buffer = [0; 256];
-            // On loopback a datagram has arrived, or not, when its send returns.
+            // On loopback, a datagram has either arrived or been refused when its send returns.
             self.inside.recv(&mut buffer).is_ok_and(|len| buffer[..len] == *octets)
         }
     }
 
-    /// The relay's own word, in user space.
+    /// Asks the relay's own check in user space.
     struct Judge {
         core: Core,
         arrival: Arrival,
@@ -249,7 +254,7 @@ mod tests {
         }
     }
 
-    /// Figure 10's route, `len` data octets, and a tail.
+    /// A request with the route of figure 10, `len` data octets and a tail.
     fn request(len: u8, tail: &[u8]) -> Vec<u8> {
         let mut octets = vec![2, 0, 0, 0, 0x0B, 4, 5, 2, 0x21, 0x8B, 0x83, 0x9F, 2, len];
         octets.extend((0..len).collect::<Vec<_>>());
@@ -297,7 +302,7 @@ mod tests {
         assert!(!gate.lets_through(&request(3, b"whatever")));
     }
 
-    /// Octets that are nearly a request, so that many are one.
+    /// Octets that are nearly a request. Many of them are one.
     fn nearly_a_request() -> impl Strategy<Value = Vec<u8>> {
         let routes = prop_oneof![
             Just(vec![0x0B, 4, 5, 2, 0x21, 0x8B, 0x83, 0x9F]),
@@ -330,7 +335,8 @@ mod tests {
             let through = Gate::new(&net).lets_through(&octets);
             match verdict {
                 Ok(_) => prop_assert!(through, "accepted by the relay, refused by the kernel"),
-                // The rest it decides as the relay does.
+                // The filter does not decide these. In all other cases it decides as the relay
+                // does.
                 Err(DropReason::BadRoute | DropReason::RouteFormat | DropReason::BadLength
                     | DropReason::Broadcast | DropReason::NodeMismatch) => {}
                 Err(reason) => prop_assert!(!through, "{reason:?} let through"),

@@ -1,21 +1,22 @@
-//! Which worker a client belongs to.
+//! Decides which worker a client belongs to.
 //!
-//! Left alone, the kernel spreads datagrams over the sockets of a port by both endpoints, so a
-//! client that polls many nodes would be known to every worker, and use an upstream port of each.
-//! This program goes by the client's address and port alone: a client has one worker, and with it
-//! one upstream port.
+//! By default the kernel spreads datagrams over the sockets of a port by the addresses and ports of
+//! both ends. A client that polls many nodes would then be known to every worker, and would use an
+//! upstream port of each. This program uses only the client's address and port. So a client has one
+//! worker, and one upstream port with it.
 
 use std::io;
 
 use nix::sys::socket::{setsockopt, sockopt};
 use socket2::Socket;
 
-/// Sends each client's datagrams to one socket among the `workers` that share this one's port, in
-/// the order in which they were bound.
+/// Has the kernel give each client's datagrams to one of the `workers` sockets that share the port
+/// of this one. The sockets count in the order in which they were bound.
 pub(in crate::datapath) fn by_client(socket: &Socket, workers: usize) -> io::Result<()> {
     let mut program = if socket.domain()? == socket2::Domain::IPV4 {
-        // Source address; source port, where the header has no options (with options the last two
-        // octets of them are taken: as good, since a client's are always the same).
+        // The source address, and the source port where the header has no options. With options,
+        // the program reads the last two octets of the options instead. These serve as well,
+        // because a client's options are always the same.
         program(&[SOURCE_V4], SOURCE_PORT_V4, workers)
     } else {
         program(&SOURCE_V6, SOURCE_PORT_V6, workers)
@@ -31,14 +32,15 @@ const SOURCE_V6: [u32; 4] =
     [NETWORK_HEADER + 8, NETWORK_HEADER + 12, NETWORK_HEADER + 16, NETWORK_HEADER + 20];
 const SOURCE_PORT_V6: u32 = NETWORK_HEADER + 40;
 
-/// Offsets from here on count from the IP header.
+/// Offsets that are added to this one count from the IP header.
 const NETWORK_HEADER: u32 = libc::SKF_NET_OFF as u32;
 
 /// Knuth's multiplicative hash: neighbouring ports go to different workers.
 const SPREAD: u32 = 0x9e37_79b1;
 
-/// Classic BPF: the sum of the words, times a constant, plus the port, times the constant again;
-/// the upper half of it modulo the number of workers.
+/// A classic BPF program that computes a hash. It adds up the words, multiplies the sum by a
+/// constant, adds the port and multiplies by the constant again. The result is the upper half of
+/// that, modulo the number of workers.
 fn program(words: &[u32], port: u32, workers: usize) -> Vec<libc::sock_filter> {
     use libc::{
         BPF_A, BPF_ABS, BPF_ADD, BPF_ALU, BPF_H, BPF_K, BPF_LD, BPF_MISC, BPF_MOD, BPF_MUL,

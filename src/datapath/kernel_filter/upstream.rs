@@ -1,7 +1,8 @@
-//! What no server sent, on the sockets towards the servers: while it floods one of them, the kernel
-//! refuses it, for that socket has other clients' answers to hold.
+//! Refuses, on an upstream socket, what no server sent: the upstream filter. It is on only while
+//! such datagrams flood the socket. Without it they would take the room of answers to other
+//! clients.
 //!
-//! The program looks at who sent a datagram, never at what is in it, and lets every server of the
+//! The program looks at the sender of a datagram, never at the content. It lets every server of the
 //! table through.
 
 use std::collections::BTreeMap;
@@ -14,17 +15,18 @@ use crate::nat::{NetKind, Table};
 
 use crate::datapath::kernel_filter::assembler::{MOST_STEPS, Program, To};
 
-/// Offset of the source port in what the program sees, which begins with the UDP header.
+/// Offset of the source port. What the program sees begins with the UDP header.
 const SOURCE_PORT: u32 = 0;
-/// Of the source address, counted from the IPv4 header.
+/// Offset of the source address, counted from the IPv4 header.
 const SOURCE: u32 = libc::SKF_NET_OFF as u32 + 12;
 
-/// A plant section's network, /24, or a single server's address.
+/// The mask of a plant section's network, which is a /24, and that of a single server's
+/// address.
 const SECTION: u32 = 0xffff_ff00;
 const SERVER: u32 = 0xffff_ffff;
 
-/// Refuses on an IPv4 socket what comes from no server of the table. An error where a program cannot
-/// hold all.
+/// Makes the program that refuses, on an IPv4 socket, what comes from no server of the table. Fails
+/// where one program cannot hold all servers.
 pub(in crate::datapath) fn program(table: &Table) -> io::Result<Program> {
     let mut networks: BTreeMap<(u16, u32), Vec<u32>> = BTreeMap::new();
     for mapping in table.mappings() {
@@ -75,7 +77,7 @@ mod tests {
         Mapping { net: NetId(net), node_address: 1, public_port: 1, server }
     }
 
-    /// A socket on a port of loopback that is free.
+    /// A socket on a free port of loopback.
     fn peer(address: &str) -> UdpSocket {
         UdpSocket::bind((address, 0)).unwrap()
     }
@@ -96,7 +98,7 @@ mod tests {
         program(&table).unwrap().attach(&SockRef::from(&socket)).unwrap();
         let gets_through = |from: &UdpSocket| {
             from.send_to(b"answer", to).unwrap();
-            // On loopback a datagram has arrived, or not, when its send returns.
+            // On loopback, a datagram has either arrived or been refused when its send returns.
             socket.recv(&mut [0; 8]).is_ok()
         };
         let at = |address: &str, like: &UdpSocket| {

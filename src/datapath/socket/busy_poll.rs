@@ -1,14 +1,14 @@
-//! When a worker looks for the next datagram instead of sleeping.
+//! Decides when a worker polls for the next datagram instead of sleeping.
 //!
-//! A wake-up costs more than many looks. But looking pays only while datagrams come close together,
-//! so a worker that has looked in vain, or is woken seldom, sleeps.
+//! A wake-up costs more than many polls. But polling pays only while datagrams come close together.
+//! So a worker sleeps when it has polled in vain, or when datagrams come seldom.
 
 use std::time::{Duration, Instant};
 
-/// The state of one worker's looking.
+/// The state of one worker's polling.
 #[derive(Debug)]
 pub(in crate::datapath) struct BusyPoll {
-    /// How long a look may last; zero: there is none.
+    /// How long polling may last. With zero, the worker does not poll.
     limit: Duration,
     last: Option<Instant>,
     looking: bool,
@@ -31,7 +31,7 @@ impl BusyPoll {
         }
     }
 
-    /// Whether to look again, rather than to sleep.
+    /// Whether the worker should poll again instead of sleeping.
     pub(in crate::datapath) fn goes_on(&self) -> bool {
         self.looking
     }

@@ -1,31 +1,33 @@
-//! How many workers and upstream sockets the process's file descriptors allow.
+//! Computes how many workers and upstream sockets the limit of file descriptors allows.
 
 use std::num::NonZeroUsize;
 use std::thread;
 
 use nix::sys::resource::{Resource, getrlimit, setrlimit};
 
-/// What everything but the sockets of the data path may use: logs, the admin server's connections.
+/// File descriptors for everything except the sockets of the datapath: logs, and connections of the
+/// admin server.
 const RESERVE: usize = 128;
-/// epoll, wake-up, tick.
+/// A worker's own file descriptors: epoll, wake-up, tick.
 const OWN: usize = 3;
-/// What a worker needs beside its public sockets: its own, and a first few upstream sockets.
+/// File descriptors that a worker needs besides its public sockets: its own, and those of its first
+/// upstream sockets.
 const FOR_A_WORKER: usize = OWN + 31;
 
-/// What fits in the limit of file descriptors.
+/// What fits into the limit of file descriptors.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(in crate::datapath) struct Plan {
     pub workers: usize,
-    /// Upstream sockets that each worker may have open.
+    /// How many upstream sockets each worker may have open.
     pub upstreams: usize,
 }
 
-/// What a worker may have of the limit once it runs, whatever a configuration asks for.
+/// What a running worker may have of the limit, whatever a configuration asks for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(in crate::datapath) struct Share {
     pub public_sockets: usize,
     pub upstreams: usize,
-    /// Where it may have fewer public sockets than wanted.
+    /// The error, when the worker may have fewer public sockets than wanted.
     pub lack: Option<TooFewDescriptors>,
 }
 
@@ -43,9 +45,9 @@ pub struct TooFewDescriptors {
     limit: usize,
 }
 
-/// Raises the soft limit to the hard one and divides it. Without a wish for a number of workers
-/// there is one for each two cores, or as many as the limit allows: the kernel's path of a datagram
-/// takes more time than the worker's, and wants cores too.
+/// Raises the soft limit to the hard one and divides it among the workers. When the configuration
+/// names no number of workers, there is one for every two cores, or as many as the limit allows.
+/// The kernel spends more time on a datagram than the worker does, so it needs cores too.
 pub(in crate::datapath) fn plan(
     addresses: usize,
     workers: Option<NonZeroUsize>,
@@ -53,7 +55,8 @@ pub(in crate::datapath) fn plan(
     divide(addresses, workers, half_the_cores(), raise_limit())
 }
 
-/// Divides the limit among so many workers, each of which wants public sockets for so many addresses.
+/// Divides the limit among this many workers. Each of them wants public sockets for this many
+/// addresses.
 pub(in crate::datapath) fn share(addresses: usize, workers: usize) -> Share {
     allot(addresses, workers.max(1), raise_limit())
 }

@@ -1,4 +1,5 @@
-//! What a worker does for its core: sockets, the system's routes, the audit log.
+//! What a worker does for its core: it opens sockets, asks for the system's routes and writes the
+//! audit log.
 
 use std::net::{IpAddr, SocketAddr};
 use std::sync::Arc;
@@ -16,9 +17,9 @@ use super::way_back;
 
 /// The sockets of a worker, and the way to the audit log.
 pub(super) struct WorkerEffects {
-    /// Where requests arrive, and from where answers leave.
+    /// The sockets at which requests arrive, and from which answers leave.
     pub public: Listeners,
-    /// Towards the servers.
+    /// The sockets towards the servers.
     pub upstream: UpstreamSockets,
     pub audit: Arc<Audit>,
     pub warnings: RateLimitedWarnings,
@@ -33,7 +34,7 @@ impl Effects for WorkerEffects {
         ipv4: bool,
     ) -> Option<u16> {
         if !self.upstream.may_open(ipv4) {
-            return None; // counted as upstream_exhausted, and told by the report of drops
+            return None; // counted as upstream_exhausted, which the drop report tells
         }
         let opened = self.upstream.open(id, ipv4);
         let what = "cannot open an upstream socket";
@@ -49,7 +50,7 @@ impl Effects for WorkerEffects {
     }
 
     fn is_own_address(&mut self, address: SocketAddr) -> bool {
-        // There is no way to an address that is refused.
+        // An error means that the system has no route there, so the address is not our own.
         options::is_own(address, self.upstream.ports()).unwrap_or(false)
     }
 

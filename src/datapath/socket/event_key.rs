@@ -1,10 +1,11 @@
-//! Names for what a worker waits on and sends to, as the 64 bits that epoll and a batch carry.
+//! Names the things that a worker waits on and sends to, as the 64 bits that epoll and a batch
+//! carry.
 
 use nix::sys::epoll::{EpollEvent, EpollFlags};
 
 use crate::nat::{ListenerId, UpstreamId};
 
-/// What an event of epoll, or a datagram to be sent, belongs to.
+/// What an event of epoll belongs to, or a datagram that is to be sent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(in crate::datapath) enum EventKey {
     Public(ListenerId),
@@ -36,7 +37,7 @@ impl EventKey {
         }
     }
 
-    /// To be told at every wake-up for as long as something is here.
+    /// The epoll event for arrivals. It comes at every wake-up as long as something waits here.
     pub(in crate::datapath) fn arrivals(self) -> EpollEvent {
         EpollEvent::new(EpollFlags::EPOLLIN, self.key())
     }

@@ -1,4 +1,5 @@
-//! Sockets on which the kernel may refuse datagrams before it queues them, and what it dropped there.
+//! Sockets on which the kernel may refuse datagrams before it queues them, and figures of what it
+//! dropped there.
 
 use std::io;
 use std::mem;
@@ -11,33 +12,33 @@ use socket2::Socket;
 use crate::datapath::kernel_filter::assembler::Program;
 use crate::datapath::socket::sys::options;
 
-/// A socket, with a filter in the kernel or without.
+/// A socket with or without a filter in the kernel.
 #[derive(Debug)]
 pub(in crate::datapath) struct FilteredSocket {
     socket: Socket,
     filtered: AtomicBool,
-    /// What the kernel's figure was when it was last looked at. Locked while it is read, for who
-    /// reads it first has to account for it first.
+    /// The kernel's figure at the last look. The lock is held while the figure is read, because the
+    /// thread that reads it first must also account for it first.
     seen: Mutex<u32>,
 }
 
-/// What the kernel dropped on a net's public sockets, or on all upstream sockets, also on those that
-/// were closed since.
+/// What the kernel dropped on a net's public sockets, or on all upstream sockets. Sockets that were
+/// closed since are included.
 #[derive(Debug, Default)]
 pub(in crate::datapath) struct NetDrops {
     overflow: AtomicU64,
     prefilter: AtomicU64,
 }
 
-/// Datagrams that the kernel dropped on sockets of ours.
+/// Datagrams that the kernel dropped on sockets of the relay.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct KernelDrops {
-    /// A buffer was full, or memory short: while no filter was on, or, while one was, when the buffer
-    /// was seen full.
+    /// Dropped because a buffer was full or memory was short. While a filter is on, drops count
+    /// here only when the buffer was seen full.
     pub overflow: u64,
-    /// While a filter was on, the prefilter or the one against strays, and the buffer was not seen
-    /// full. The kernel tells one figure for what a filter refused and what found no room, so a
-    /// buffer that is full for less than a second may be missed here.
+    /// Dropped while a request filter or an upstream filter was on and the buffer was not seen
+    /// full. The kernel has only one figure for what a filter refused and what found no room. So a
+    /// buffer that is full for less than a second may be missed.
     pub prefilter: u64,
 }
 
@@ -56,14 +57,14 @@ impl FilteredSocket {
         self.filtered.load(Relaxed)
     }
 
-    /// Has the kernel refuse what the program refuses, or let everything through. A program takes
-    /// the place of another at once.
+    /// Has the kernel refuse what the program refuses, or let everything through without a program.
+    /// A new program replaces the old one at once.
     pub(in crate::datapath) fn filter(
         &self,
         program: Option<&Program>,
         drops: &NetDrops,
     ) -> io::Result<()> {
-        self.account(drops); // what was dropped so far belongs to the way it was so far
+        self.account(drops); // these drops belong to the filter state so far
         match program {
             Some(program) => program.attach(&self.socket)?,
             None if self.is_filtered() => self.socket.detach_filter()?,
@@ -73,8 +74,8 @@ impl FilteredSocket {
         Ok(())
     }
 
-    /// Adds to `drops` what the kernel dropped since the last call, and returns all that it has
-    /// dropped on the socket, whatever the cause: a figure that starts again from 0 after 2³².
+    /// Adds to `drops` what the kernel dropped since the last call. Returns all that the kernel has
+    /// dropped on the socket, for whatever cause. This figure starts again from 0 after 2³².
     pub(in crate::datapath) fn account(&self, drops: &NetDrops) -> Option<u32> {
         let mut seen = self.seen.lock().unwrap_or_else(PoisonError::into_inner);
         // A figure that cannot be read now is read the next time.
@@ -117,7 +118,7 @@ mod tests {
     use super::*;
     use crate::datapath::kernel_filter::assembler::To;
 
-    /// A socket whose filter refuses empty datagrams, and one that sends to it.
+    /// A socket whose filter refuses empty datagrams, and another socket that sends to it.
     fn filtered(drops: &NetDrops) -> (FilteredSocket, UdpSocket) {
         let inside = UdpSocket::bind("127.0.0.1:0").unwrap();
         inside.set_nonblocking(true).unwrap();

@@ -1,4 +1,4 @@
-//! When public sockets are flooded, and when it is over: then the prefilter goes on and off.
+//! Turns the request filter on when public sockets are flooded, and off when the flood is over.
 
 use std::time::Instant;
 
@@ -10,45 +10,48 @@ use crate::datapath::kernel_filter::request;
 use crate::datapath::socket::public::{Listener, Listeners};
 use crate::logging::warnings::RateLimitedWarnings;
 
-/// Filters turned on in one wake-up; the other sockets that are flooded have theirs in the next ones.
+/// The most filters that one wake-up turns on. The other flooded sockets get theirs in the next
+/// wake-ups.
 const ON_AT_ONCE: usize = 8;
-/// Sockets looked at in one wake-up.
+/// The most sockets that one wake-up looks at.
 const LOOKS_AT_ONCE: usize = 128;
-/// Of the sockets without a filter, every so many are looked at in a round: what is dropped there is
-/// accounted for long before its 32 bits come round.
+/// Number of rounds in which each socket without a filter is looked at once. So the kernel's drops
+/// there are accounted for long before their 32-bit figure wraps.
 const ROUNDS: usize = 16;
 
-/// Turns the prefilter of one worker's public sockets on and off, where that is left to it.
+/// Turns the request filter of one worker's public sockets on and off, where the setting leaves
+/// that to the relay.
 ///
-/// A flood is told by what all sockets of a net see of it, or all of the worker, however it is
-/// spread over them. The filter goes on where it arrives.
+/// The datagrams of all sockets of a net are counted together, and so are those of the whole
+/// worker. So a flood is noticed however it is spread over the sockets. The filter goes on where
+/// the flood arrives.
 pub(in crate::datapath) struct FloodGuard {
     automatic: bool,
-    /// Of each public socket, in its place.
+    /// The state of each public socket, by its place.
     sockets: Vec<Watched>,
-    /// Of each net.
+    /// The flood of each net.
     nets: Vec<Flood>,
-    /// Of what is no flood of one net.
+    /// The flood of the whole worker, from datagrams that are no flood of one net.
     worker: Flood,
-    /// Sockets on which the prefilter is on.
+    /// Number of sockets on which the request filter is on.
     filtered: usize,
-    /// Filters that may still be turned on in this wake-up.
+    /// How many filters may still be turned on in this wake-up.
     may_turn_on: usize,
-    /// Where the round is that is under way.
+    /// The place at which the current round goes on.
     next: Option<usize>,
     round: usize,
-    /// Rounds until each socket has been looked at since the last datagram that was noted.
+    /// Rounds that are left until each socket has been looked at since the last noted datagram.
     rounds_due: usize,
     started: Instant,
     warnings: RateLimitedWarnings,
 }
 
-/// A socket, as far as floods go.
+/// What is known of a socket about floods.
 #[derive(Clone, Copy, Debug, Default)]
 struct Watched {
     /// The kernel's figure at the last look.
     dropped: u32,
-    /// Whose flood turned the filter on.
+    /// Whose flood turned the filter on: that of the net or that of the worker.
     by: Option<Whose>,
 }
 
@@ -58,19 +61,19 @@ enum Whose {
     Worker,
 }
 
-/// A flood, or none, of many sockets.
+/// The state of a flood over many sockets, or of no flood.
 #[derive(Debug, Default)]
 struct Flood {
     watch: FloodWatch,
-    /// What the kernel dropped on the sockets that have a filter because of it.
+    /// What the kernel dropped on the sockets that have a filter because of this flood.
     dropped: u32,
-    /// Sockets that have one.
+    /// Number of these sockets.
     filtered: usize,
     over: bool,
 }
 
 impl FloodGuard {
-    /// Without sockets, until the first [`reload`](Self::reload).
+    /// A guard without sockets until the first [`reload`](Self::reload).
     pub(in crate::datapath) fn new(started: Instant) -> Self {
         Self {
             automatic: false,
@@ -87,7 +90,7 @@ impl FloodGuard {
         }
     }
 
-    /// Another wake-up.
+    /// Begins another wake-up.
     #[inline]
     pub(in crate::datapath) fn next_turn(&mut self) {
         self.may_turn_on = ON_AT_ONCE;
@@ -99,14 +102,14 @@ impl FloodGuard {
         self.filtered == 0 && self.rounds_due == 0
     }
 
-    /// Whether a round is under way, which [`end_quiet_floods`](Self::end_quiet_floods) goes on with.
+    /// Whether a round is under way. [`end_quiet_floods`](Self::end_quiet_floods) continues it.
     #[inline]
     pub(in crate::datapath) fn is_looking(&self) -> bool {
         self.next.is_some()
     }
 
-    /// Notes datagrams that the prefilter would have refused the worker, and turns it on where they
-    /// are a flood.
+    /// Notes `refused` datagrams that the request filter would have kept from the worker. Turns the
+    /// filter on where they are a flood.
     pub(in crate::datapath) fn note(
         &mut self,
         id: ListenerId,
@@ -155,15 +158,15 @@ impl FloodGuard {
         }
     }
 
-    /// Begins a round, unless one is under way. To be called about once a second.
+    /// Begins a round, unless one is under way. The worker calls this about once a second.
     pub(in crate::datapath) fn begin_round(&mut self) {
         if self.next.is_none() && !self.is_quiet() {
             self.next = Some(0);
         }
     }
 
-    /// Looks at some sockets of a round: accounts for what the kernel dropped there, and turns the
-    /// prefilter off where the flood is over.
+    /// Looks at the next sockets of a round. Accounts for what the kernel dropped there, and turns
+    /// the request filter off where the flood is over.
     pub(in crate::datapath) fn end_quiet_floods(&mut self, listeners: &Listeners, table: &Table) {
         let Some(first) = self.next else { return };
         let end = self.sockets.len().min(first + LOOKS_AT_ONCE);
@@ -173,7 +176,7 @@ impl FloodGuard {
             if !filtered && place % ROUNDS != self.round % ROUNDS {
                 continue;
             }
-            // One that cannot be read is read in the next round.
+            // A figure that cannot be read now is read in the next round.
             let Some(figure) = public.account() else { continue };
             let watched = &mut self.sockets[place];
             let new = figure.wrapping_sub(std::mem::replace(&mut watched.dropped, figure));
@@ -224,8 +227,9 @@ impl FloodGuard {
         }
     }
 
-    /// Goes over to another configuration, before a datagram is judged by it. The kernel never
-    /// refuses what the new one accepts: where a program cannot be had, there is none.
+    /// Goes over to another configuration, before any datagram is judged by it. The kernel never
+    /// refuses what the new configuration accepts: a socket that cannot get its new program has no
+    /// filter.
     pub(in crate::datapath) fn reload(
         &mut self,
         prefilter: Prefilter,
@@ -245,7 +249,7 @@ impl FloodGuard {
             };
             let filtered = public.socket.is_filtered();
             let filter = match prefilter {
-                // One that was always on says nothing of a flood.
+                // A filter that was always on does not show that there is a flood.
                 Prefilter::Auto => filtered && self.automatic,
                 Prefilter::Always => true,
                 Prefilter::Off => false,
@@ -275,6 +279,6 @@ impl FloodGuard {
                 None => {}
             }
         }
-        self.next = None; // places may be others'
+        self.next = None; // a place may belong to another socket now
     }
 }

@@ -1,4 +1,4 @@
-//! The way to a worker of sockets, for who has none of its thread.
+//! The handle of a worker that has sockets. The other threads reach the worker through it.
 
 use std::io;
 use std::sync::Arc;
@@ -17,7 +17,7 @@ use super::public::{Listener, Listeners};
 use super::setup::StartError;
 use super::worker::{Shared, Worker, WorkerSetup};
 
-/// The way to a worker.
+/// The handle of a worker.
 #[derive(Debug)]
 pub(in crate::datapath) struct Handle {
     commands: Sender<Command>,
@@ -26,7 +26,7 @@ pub(in crate::datapath) struct Handle {
 }
 
 impl Handle {
-    /// A worker around this core, with these public sockets, and the way to it.
+    /// Builds a worker around this core, with these public sockets, and returns it with its handle.
     pub(in crate::datapath) fn build(
         config: &Config,
         core: Core,
@@ -57,7 +57,7 @@ impl Handle {
         Ok((handle, worker))
     }
 
-    /// Has the worker woken by what arrives at a public socket.
+    /// Has the worker wake up when something arrives at a public socket.
     pub(in crate::datapath) fn watch(
         &self,
         id: ListenerId,
@@ -67,7 +67,7 @@ impl Handle {
         watched.map_err(|error| StartError::Watch(error.into()))
     }
 
-    /// Asks the worker; one that has ended answers nothing.
+    /// Sends the worker a command. A worker that has ended does not answer.
     pub(in crate::datapath) fn ask(&self, command: Command) {
         if self.commands.send(command).is_ok() {
             let _ = self.wake.write(1);

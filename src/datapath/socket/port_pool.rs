@@ -1,8 +1,9 @@
-//! Which ports the upstream sockets have.
+//! Chooses the ports of the upstream sockets.
 //!
-//! The relay picks them itself: at random (RFC 6056), of those that the host lends to programs, and
-//! none that belongs to the NAT table, or a later configuration could not listen on it. What the host
-//! lends is read once, for the confinement hides it later.
+//! The relay picks them itself, at random (RFC 6056), from the ports that the router's system lends
+//! to programs. It picks none that belongs to the NAT table: otherwise a later configuration could
+//! not listen on that port. The relay reads once what the system lends, because the confinement
+//! hides that later.
 
 use std::fs;
 use std::io;
@@ -19,51 +20,52 @@ use crate::pnet::wire::{NORMAL_PORT, SECURE_PORT, SNA};
 
 const WORDS: usize = 1 << 10;
 
-/// Linux's `ip_local_port_range`, where it cannot be read.
+/// Linux's default of `ip_local_port_range`, for when the setting cannot be read.
 const USUAL: RangeInclusive<u16> = 32_768..=60_999;
 
-/// How many ports of other programs are passed over before there is said to be none left.
+/// How many ports of other programs are tried before the relay reports that no port is left.
 const TRIES: usize = 128;
 
-/// P-NET's own ports: a node may be started on this host.
+/// P-NET's own ports. They stay free because a node may be started on this machine.
 const P_NET: RangeInclusive<u16> = NORMAL_PORT..=SECURE_PORT;
 
-/// The last port of a block, as seen from its start port: a broadcast address.
+/// The last port of a block, counted from its start port. It stands for a broadcast address.
 const BLOCK_END: u16 = SNA as u16;
 
 /// The ports of the upstream sockets of all workers.
 #[derive(Debug)]
 pub(in crate::datapath) struct Ports {
     host: Host,
-    /// Those that may be taken, under the configurations that were named last.
+    /// The ports that may be taken under the configurations that were named last.
     allowed: PortSet,
-    /// Those that upstream sockets have.
+    /// The ports that upstream sockets have.
     taken: PortSet,
 }
 
-/// A port that is ours, until this is dropped. Drop its socket first.
+/// A port that belongs to the relay until this value is dropped. Drop its socket first.
 #[derive(Debug)]
 pub(in crate::datapath) struct Port {
     ports: Arc<Ports>,
     number: u16,
 }
 
-/// What the host says about its ports.
+/// What the system says about its ports.
 #[derive(Debug)]
 struct Host {
-    /// What it lends to programs that ask for any port.
+    /// The ports that it lends to programs that ask for any port.
     lent: Vec<RangeInclusive<u16>>,
-    /// What it lends to nobody.
+    /// The ports that it lends to nobody.
     reserved: Vec<RangeInclusive<u16>>,
-    /// Below that, a port needs a privilege.
+    /// A port below this one needs a privilege.
     lowest: u16,
 }
 
 impl Ports {
-    /// Those of this host, outside what the configuration needs itself. To be called before the
-    /// confinement, for what is read here.
+    /// The ports of this machine without those that the configuration needs itself. Call this
+    /// before the confinement, because it reads files that the confinement hides.
     pub(in crate::datapath) fn new(config: &Config) -> Self {
-        // In a static program the system's generator is a file: from here on it is open.
+        // In a static program the system's random generator is a file. This call opens it for later
+        // use.
         let _ = getrandom::u32();
         Self::of_host(Host::read(), config)
     }
@@ -75,7 +77,7 @@ impl Ports {
     }
 
     /// From now on, no upstream socket is opened on a port that one of these configurations needs.
-    /// One that is open already may have such a port: see [`is_taken`](Self::is_taken).
+    /// A socket that is open already may have such a port: see [`is_taken`](Self::is_taken).
     pub(in crate::datapath) fn keep_out_of(&self, configs: &[&Config]) {
         let allowed = |ports: &[RangeInclusive<u16>]| {
             let allowed = PortSet::default();
@@ -102,13 +104,14 @@ impl Ports {
         }
     }
 
-    /// Whether an upstream socket has this port, or is about to.
+    /// Whether an upstream socket has this port or is about to get it.
     #[inline]
     pub(in crate::datapath) fn is_taken(&self, port: u16) -> bool {
         self.taken.contains(port)
     }
 
-    /// Binds the socket to a port at random. An error of the kind `AddrInUse` says that none is left.
+    /// Binds the socket to a random port. An error of the kind `AddrInUse` means that no port is
+    /// left.
     pub(in crate::datapath) fn bind(
         self: &Arc<Self>,
         socket: &Socket,
@@ -144,8 +147,9 @@ impl Ports {
                 nth -= here;
                 None
             });
-            // None: other workers were faster. Whoever forbids a port looks afterwards whether it is
-            // taken; so it is looked at here afterwards whether it is forbidden. One of both sees it.
+            // There is none when other workers were faster. A reload first forbids a port and then
+            // checks whether it is taken. So a worker first takes a port and then checks whether it
+            // is allowed: one of the two sees the other.
             let Some(number) = found.filter(|&number| self.taken.insert(number)) else { continue };
             let port = Port { ports: Arc::clone(self), number };
             if self.allowed.contains(number) {
@@ -196,7 +200,7 @@ impl Host {
     }
 }
 
-/// "8080,40000-40127", as the kernel writes it.
+/// Reads port ranges in the kernel's form, such as "8080,40000-40127".
 fn ranges(text: &str) -> Vec<RangeInclusive<u16>> {
     let range = |text: &str| {
         let (first, last) = text.split_once('-').unwrap_or((text, text));
@@ -205,7 +209,7 @@ fn ranges(text: &str) -> Vec<RangeInclusive<u16>> {
     text.trim().split(',').filter_map(range).collect()
 }
 
-/// Ports, one bit each, for several threads.
+/// A set of ports with one bit each, for several threads.
 #[derive(Debug)]
 struct PortSet(Box<[AtomicU64; WORDS]>);
 
@@ -216,7 +220,7 @@ impl Default for PortSet {
 }
 
 impl PortSet {
-    /// Whether it was not in it before.
+    /// Adds a port. Tells whether the port was new.
     fn insert(&self, port: u16) -> bool {
         let bit = bit(port);
         self.0[index(port)].fetch_or(bit, SeqCst) & bit == 0
@@ -247,7 +251,7 @@ fn bit(port: u16) -> u64 {
     1 << (port % 64)
 }
 
-/// Where the one stands that has `n` others below it.
+/// The position of the set bit that has `n` set bits below it.
 fn nth_one(mut word: u64, n: u32) -> u16 {
     (0..n).for_each(|_| word &= word - 1);
     word.trailing_zeros() as u16
@@ -265,7 +269,7 @@ mod tests {
     use super::*;
     use crate::config;
 
-    /// A block from this port on, and a single server beside it.
+    /// A configuration with a block from this port on and a single server beside it.
     fn config(start_port: u16) -> Config {
         let (press, more) = (start_port + 200, "allow = [\"::/0\"]\nallow_without_password = true");
         let text = format!(

@@ -1,7 +1,7 @@
-//! Public sockets, and what they stand for.
+//! Public sockets, and the mappings that they stand for.
 //!
-//! A socket outlives a reload as long as its address and port are wanted; what it stands for may
-//! change. Its place in a worker's [`Listeners`] stays the same all its life.
+//! A socket stays open over a reload as long as its address and port are wanted. Its mapping may
+//! change. Its place in a worker's [`Listeners`] never changes.
 
 use std::collections::BTreeSet;
 use std::io;
@@ -14,29 +14,29 @@ use crate::datapath::kernel_filter::request;
 use crate::datapath::socket::filtered::{FilteredSocket, NetDrops};
 use crate::datapath::socket::sys::batch::Destination;
 
-/// A public socket of one worker, and what it stands for in the NAT table in force.
+/// A public socket of one worker, with its mapping in the NAT table in force.
 #[derive(Clone, Debug)]
 pub(in crate::datapath) struct Listener {
     pub socket: Arc<FilteredSocket>,
-    /// Where it listens.
+    /// The address and port at which it listens.
     pub address: SocketAddr,
     pub mapping: MappingId,
     pub net: NetId,
     pub drops: Arc<NetDrops>,
 }
 
-/// The public sockets of one worker, by [`ListenerId`]. A place whose socket was closed is empty,
-/// until another takes it.
+/// The public sockets of one worker, by [`ListenerId`]. When a socket is closed, its place is empty
+/// until another socket takes it.
 #[derive(Clone, Debug, Default)]
 pub(in crate::datapath) struct Listeners(Vec<Option<Listener>>);
 
 impl Listener {
-    /// The configured address; none when the socket serves all of the host's.
+    /// The configured address. There is none when the socket serves all addresses of the router.
     pub(in crate::datapath) fn own_address(&self) -> Option<IpAddr> {
         Some(self.address.ip()).filter(|address| !address.is_unspecified())
     }
 
-    /// How a datagram's destination is known.
+    /// How the destination of a datagram is known.
     pub(in crate::datapath) fn destination(&self) -> Destination {
         match self.own_address() {
             Some(_) => Destination::Bound,
@@ -44,7 +44,8 @@ impl Listener {
         }
     }
 
-    /// Turns the prefilter on, with the program for the net as `table` has it, or off.
+    /// Turns the request filter on or off. The program is the one for the net as it stands in
+    /// `table`.
     pub(in crate::datapath) fn filter(&self, on: bool, table: &Table) -> io::Result<()> {
         let program =
             on.then(|| request::program(table.header, table.net(self.net), self.address.ip()));
@@ -68,7 +69,7 @@ impl Listeners {
         places.filter_map(|(id, listener)| Some((id, listener.as_ref()?)))
     }
 
-    /// Places, empty ones included.
+    /// Number of places, with the empty ones.
     pub(in crate::datapath) fn places(&self) -> usize {
         self.0.len()
     }
@@ -82,7 +83,7 @@ impl Listeners {
         self.0[index] = Some(listener);
     }
 
-    /// The places whose sockets of `before` are not in them any more.
+    /// The places whose sockets in `before` are not in them any more.
     pub(in crate::datapath) fn gone(&self, before: &Self) -> BTreeSet<ListenerId> {
         before.iter().map(|(id, _)| id).filter(|&id| !self.keeps(id, before)).collect()
     }

@@ -1,16 +1,17 @@
-//! How many datagrams a worker asks a socket for in its turn.
+//! Decides how many datagrams a worker asks a socket for in its turn.
 //!
-//! To ask for more than there are costs a look in vain, before what did come can be sent on; to ask
-//! for fewer costs another turn. So a socket is asked for one, and for more as soon as one turn after
-//! another leaves some.
+//! When the worker asks for more than there are, the kernel looks once in vain, before the received
+//! datagrams can be sent on. When the worker asks for fewer, the socket needs another turn. So the
+//! worker first asks a socket for one datagram, and for more as soon as two turns in a row use the
+//! whole quota.
 
 use crate::datapath::socket::event_key::EventKey;
 use crate::datapath::socket::sys::batch::AT_ONCE;
 
-/// What each socket of a worker is asked for.
+/// The quota of each socket of a worker.
 #[derive(Debug, Default)]
 pub(in crate::datapath) struct ReceiveQuota {
-    /// The worker's wake-ups, counted.
+    /// Number of the worker's wake-ups.
     turn: u64,
     public: Vec<Helping>,
     upstream: Vec<Helping>,
@@ -19,7 +20,7 @@ pub(in crate::datapath) struct ReceiveQuota {
 #[derive(Clone, Copy, Debug)]
 struct Helping {
     most: usize,
-    /// The last turn in which it was all used.
+    /// The last turn that used the whole quota.
     used_up: u64,
 }
 
@@ -28,7 +29,7 @@ impl Helping {
 }
 
 impl ReceiveQuota {
-    /// Another wake-up, in which each socket has its turn.
+    /// Begins another wake-up, in which each socket has its turn.
     pub(in crate::datapath) fn next_turn(&mut self) {
         self.turn += 1;
     }
@@ -44,7 +45,7 @@ impl ReceiveQuota {
         helping.most
     }
 
-    /// Notes how many came of it.
+    /// Notes how many datagrams came.
     #[inline]
     pub(in crate::datapath) fn note(&mut self, place: EventKey, received: usize) {
         let turn = self.turn;
@@ -95,7 +96,7 @@ mod tests {
             assert_eq!(quota.most(busy), came.max(1));
         }
 
-        // One datagram now and then.
+        // A socket that gets one datagram now and then.
         for _ in 0..3 {
             quota.next_turn();
             assert_eq!(quota.most(quiet), 1);

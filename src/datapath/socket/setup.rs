@@ -1,7 +1,7 @@
-//! Opening public sockets, at the start and for a new configuration.
+//! Opens public sockets, at the start and for a new configuration.
 //!
-//! A socket that is there already is taken over, so that no datagram to it is lost. What cannot be
-//! had is named, and does not keep the others from being opened.
+//! A socket that is open already is taken over, so that no datagram to it is lost. A socket that
+//! cannot be opened is named, and the others are opened all the same.
 
 use std::collections::{BTreeMap, HashMap};
 use std::io;
@@ -25,10 +25,10 @@ pub enum StartError {
     /// The process may not have enough file descriptors.
     #[error(transparent)]
     Descriptors(#[from] TooFewDescriptors),
-    /// A public socket cannot be had.
+    /// A public socket cannot be opened.
     #[error(transparent)]
     Listen(#[from] ListenError),
-    /// The system does not tell of what arrives.
+    /// The system cannot report what arrives.
     #[error("cannot wait for datagrams; is sysctl fs.epoll.max_user_watches reached?")]
     Watch(#[source] io::Error),
     /// The system has no thread left for a worker.
@@ -40,7 +40,7 @@ pub enum StartError {
 }
 
 impl StartError {
-    /// Whether it may pass by itself, so that another try may succeed.
+    /// Whether the error may pass by itself, so that another try may succeed.
     pub fn may_pass(&self) -> bool {
         match self {
             Self::Descriptors(_) => false,
@@ -50,27 +50,28 @@ impl StartError {
         }
     }
 
-    /// Whether it passes within seconds.
+    /// Whether the error passes within seconds.
     pub fn passes_soon(&self) -> bool {
         matches!(self, Self::Listen(error) if error.passes_soon())
     }
 }
 
-/// Public sockets that a configuration wants, as far as they can be had.
+/// The public sockets that a configuration wants, as far as they can be opened.
 pub(in crate::datapath) struct Opened {
-    /// Of each worker: the same addresses in the same places.
+    /// The sockets of each worker. All workers have the same addresses in the same places.
     pub listeners: Vec<Listeners>,
     pub missing: Vec<Missing>,
 }
 
-/// A public socket that cannot be had.
+/// A public socket that cannot be opened.
 pub(in crate::datapath) struct Missing {
     pub address: SocketAddr,
     pub why: StartError,
 }
 
-/// The public sockets of each worker for this configuration, whose nets' figures are `drops`: those
-/// of `before` that it names too, in their places, and new ones in places that are free.
+/// Opens the public sockets of each worker for this configuration. `drops` holds what the kernel
+/// dropped, for each net. Sockets of `before` that the configuration wants too keep their places.
+/// New sockets get free places.
 pub(in crate::datapath) fn open(
     config: &Config,
     drops: &[Arc<NetDrops>],
@@ -132,7 +133,7 @@ pub(in crate::datapath) fn open(
     Opened { listeners: next, missing }
 }
 
-/// New sockets on one address, with the prefilter where it is always on.
+/// Opens sockets on one address, with the request filter where it is always on.
 fn filtered(
     config: &Config,
     address: SocketAddr,
@@ -153,7 +154,8 @@ fn filtered(
     Ok(listeners)
 }
 
-/// What is missing, in words: one item for all ports of an address that lack the same.
+/// Describes the missing sockets. All ports of an address that are missing for the same reason make
+/// one item.
 pub(in crate::datapath) fn told(missing: &[Missing], upstream: &Ports) -> Vec<NotInForce> {
     let mut ports = BTreeMap::<_, Vec<_>>::new();
     for Missing { address, why } in missing {
@@ -172,7 +174,7 @@ pub(in crate::datapath) fn told(missing: &[Missing], upstream: &Ports) -> Vec<No
     ports.into_iter().map(item).collect()
 }
 
-/// UDP ports of an address, in words.
+/// Describes UDP ports of an address.
 pub(in crate::datapath) fn ports_of(ip: IpAddr, mut ports: Vec<u16>) -> String {
     ports.sort_unstable();
     match ports[..] {
@@ -181,7 +183,7 @@ pub(in crate::datapath) fn ports_of(ip: IpAddr, mut ports: Vec<u16>) -> String {
     }
 }
 
-/// Says when the kernel granted less than the configured receive buffer.
+/// Warns when the kernel granted less than the configured receive buffer.
 pub(in crate::datapath) fn tell_short_buffers(config: &Config, listeners: &[Listeners]) {
     let asked = config.datapath.receive_buffer;
     let sockets = listeners.iter().flat_map(Listeners::iter);
@@ -196,7 +198,7 @@ pub(in crate::datapath) fn tell_short_buffers(config: &Config, listeners: &[List
     }
 }
 
-/// Every address that clients send to, with what it stands for.
+/// Every address that clients send to, with its mapping.
 fn wanted(config: &Config) -> impl Iterator<Item = (SocketAddr, MappingId)> {
     let mappings = config.table.mappings().iter().zip(config.table.mapping_ids());
     mappings.flat_map(|(mapping, id)| {

@@ -1,5 +1,5 @@
-//! Floods of strays: datagrams at upstream sockets that no server sent. While one lasts, the kernel
-//! refuses them.
+//! Guards upstream sockets against floods of strays, which are datagrams that no server sent. While
+//! a flood lasts, the kernel refuses them.
 
 use std::cell::LazyCell;
 use std::mem;
@@ -17,7 +17,7 @@ use super::upstream::{Upstream, UpstreamSockets};
 pub(super) struct StrayGuard {
     /// Whether the kernel may refuse strays.
     filters: bool,
-    /// Of all sockets, however the strays are spread over them.
+    /// One watch for all sockets, so that a flood is noticed however it is spread over them.
     watch: FloodWatch,
     /// What the kernel dropped while it refused strays.
     dropped: u32,
@@ -26,7 +26,7 @@ pub(super) struct StrayGuard {
 }
 
 impl StrayGuard {
-    /// Turns no filter on before the first [`reload`](Self::reload).
+    /// A guard that turns no filter on before the first [`reload`](Self::reload).
     pub(super) fn new(started: Instant) -> Self {
         Self {
             filters: false,
@@ -38,12 +38,12 @@ impl StrayGuard {
     }
 
     /// Goes over to another configuration. The kernel never refuses what a server of the new table
-    /// sends: where a program cannot be had, there is none.
+    /// sends: a socket that cannot get its new program has no filter.
     pub(super) fn reload(&mut self, settings: &Datapath, table: &Table, sockets: &UpstreamSockets) {
         self.warnings = RateLimitedWarnings::default();
         self.filters = settings.prefilter != Prefilter::Off;
         let program = || kernel_filter::upstream::program(table).ok();
-        // Made only where a filter is on.
+        // The program is made only when some filter is on.
         let program = LazyCell::new(|| if self.filters { program() } else { None });
         for Upstream { socket, .. } in sockets.iter().filter(|it| it.socket.is_filtered()) {
             let kept =
@@ -54,7 +54,7 @@ impl StrayGuard {
         }
     }
 
-    /// Notes strays at a socket, and has the kernel refuse them where they are a flood.
+    /// Notes strays at a socket, and has the kernel refuse them when they are a flood.
     pub(super) fn note(
         &mut self,
         sockets: &UpstreamSockets,
@@ -66,7 +66,7 @@ impl StrayGuard {
         let Some(upstream) = sockets.upstream(id) else { return };
         let since_start = now.saturating_duration_since(self.started);
         if !self.filters
-            || !upstream.ipv4 // single servers alone, and few
+            || !upstream.ipv4 // IPv6 serves single servers only, and few of them
             || upstream.socket.is_filtered()
             || !self.watch.flooded(since_start, strays, FloodWatch::FLOOD)
         {
@@ -82,8 +82,8 @@ impl StrayGuard {
         }
     }
 
-    /// Adds up what the kernel dropped since the last call, and lets everything through where a
-    /// flood is over. To be called about once a second.
+    /// Adds up what the kernel dropped since the last call, and turns the filters off when the
+    /// flood is over. The worker calls this about once a second.
     pub(super) fn account(&mut self, sockets: &mut UpstreamSockets) {
         let drops = sockets.drops().clone();
         let mut refused = false;

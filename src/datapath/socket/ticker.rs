@@ -1,7 +1,7 @@
-//! The tick of a worker: about once a second, as long as there is something to look at.
+//! The tick of a worker. It comes about once a second while there is something to look at.
 //!
-//! A timer of its own rather than a time-out of each wait: a wait that has one sets up and takes
-//! down a timer, and does so for every wake-up.
+//! The tick has its own timer instead of a time-out for each wait. A wait with a time-out sets up a
+//! timer and removes it again, at every wake-up.
 
 use std::io;
 use std::time::Duration;
@@ -21,7 +21,7 @@ pub(in crate::datapath) struct Ticker {
 }
 
 impl Ticker {
-    /// Stands still; `epoll` will tell of each tick.
+    /// A ticker that does not run yet. `epoll` will tell of each tick.
     pub(in crate::datapath) fn new(epoll: &Epoll) -> io::Result<Self> {
         let flags = TimerFlags::TFD_NONBLOCK | TimerFlags::TFD_CLOEXEC;
         let timer = TimerFd::new(ClockId::CLOCK_MONOTONIC, flags)?;
@@ -29,7 +29,7 @@ impl Ticker {
         Ok(Self { timer, running: false })
     }
 
-    /// Starts or stops it, where that is a change.
+    /// Starts or stops the ticker, where that is a change.
     #[inline]
     pub(in crate::datapath) fn run(&mut self, run: bool) {
         if run != self.running {
@@ -37,9 +37,9 @@ impl Ticker {
         }
     }
 
-    /// Takes a tick, so that another can come.
+    /// Reads a tick, so that the next one can wake the worker.
     pub(in crate::datapath) fn read(&self) {
-        let _: Result<(), Errno> = self.timer.wait(); // none: it was stopped meanwhile
+        let _: Result<(), Errno> = self.timer.wait(); // an error: it was stopped meanwhile
     }
 
     #[cold]

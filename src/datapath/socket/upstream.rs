@@ -1,5 +1,5 @@
-//! The upstream sockets of a worker: opened, found, closed. Which flow uses which socket is the
-//! core's affair.
+//! Opens, finds and closes the upstream sockets of a worker. The core decides which flow uses which
+//! socket.
 
 use std::io;
 use std::os::fd::{AsFd, BorrowedFd};
@@ -20,11 +20,11 @@ pub(super) struct UpstreamSockets {
     epoll: Arc<Epoll>,
     ports: Arc<Ports>,
     drops: Arc<NetDrops>,
-    /// By [`UpstreamId`].
+    /// The sockets, by [`UpstreamId`].
     sockets: Vec<Option<Upstream>>,
-    /// How many are open: for IPv6, for IPv4.
+    /// Number of open sockets: for IPv6, for IPv4.
     open: [usize; 2],
-    /// Whether there are servers: with IPv6, with IPv4.
+    /// Whether the table has servers: with IPv6, with IPv4.
     served: [bool; 2],
     limit: usize,
     receive_buffer: usize,
@@ -33,9 +33,9 @@ pub(super) struct UpstreamSockets {
 /// An upstream socket.
 #[derive(Debug)]
 pub(super) struct Upstream {
-    /// Filtered: the kernel refuses strays.
+    /// While its filter is on, the kernel refuses strays.
     pub socket: FilteredSocket,
-    /// Given back when the socket is closed.
+    /// The port, which is given back when the socket is closed.
     _port: Port,
     pub ipv4: bool,
     /// The kernel's figure at the last look.
@@ -43,8 +43,8 @@ pub(super) struct Upstream {
 }
 
 impl UpstreamSockets {
-    /// No sockets, and none to be opened before the first [`reload`](Self::reload). `epoll` will tell
-    /// of what arrives; `drops` counts what the kernel drops.
+    /// No sockets, and none may be opened before the first [`reload`](Self::reload). `epoll` will
+    /// tell of what arrives. `drops` counts what the kernel drops.
     pub(super) fn new(epoll: Arc<Epoll>, ports: Arc<Ports>, drops: Arc<NetDrops>) -> Self {
         Self {
             epoll,
@@ -58,8 +58,8 @@ impl UpstreamSockets {
         }
     }
 
-    /// Goes over to another configuration, with at most `limit` sockets. Those beyond a lower limit
-    /// stay open.
+    /// Goes over to another configuration, with at most `limit` sockets. When the limit becomes
+    /// lower, sockets beyond it stay open.
     pub(super) fn reload(
         &mut self,
         limit: usize,
@@ -84,22 +84,22 @@ impl UpstreamSockets {
         Some(self.upstream(id)?.socket.as_fd())
     }
 
-    /// The same, with what is known of it.
+    /// The socket with this index and what is known of it, if it is open.
     pub(super) fn upstream(&self, id: UpstreamId) -> Option<&Upstream> {
         self.sockets.get(id.0 as usize)?.as_ref()
     }
 
-    /// Those that are open.
+    /// The open sockets.
     pub(super) fn iter(&self) -> impl Iterator<Item = &Upstream> {
         self.sockets.iter().flatten()
     }
 
-    /// Those that are open.
+    /// The open sockets.
     pub(super) fn iter_mut(&mut self) -> impl Iterator<Item = &mut Upstream> {
         self.sockets.iter_mut().flatten()
     }
 
-    /// What the kernel drops on them.
+    /// What the kernel drops on the upstream sockets.
     pub(super) fn drops(&self) -> &Arc<NetDrops> {
         &self.drops
     }
@@ -109,8 +109,8 @@ impl UpstreamSockets {
         &self.ports
     }
 
-    /// Whether the limit allows another one. Sockets of one kind serve no server of the other, so a
-    /// quarter is kept for servers of each kind that there are.
+    /// Whether the limit allows another socket. Sockets of one IP version cannot reach servers of
+    /// the other, so a quarter of the limit is kept for each version that has servers.
     pub(super) fn may_open(&self, ipv4: bool) -> bool {
         let other = self.open[usize::from(!ipv4)];
         let kept = if self.served[usize::from(!ipv4)] { self.limit / 4 } else { 0 };
@@ -132,7 +132,7 @@ impl UpstreamSockets {
         Ok(number)
     }
 
-    /// Closes the socket with this index; that takes it out of epoll.
+    /// Closes the socket with this index, which also removes it from epoll.
     pub(super) fn close(&mut self, id: UpstreamId) {
         if let Some(upstream) = self.sockets[id.0 as usize].take() {
             upstream.socket.account(&self.drops);

@@ -1,4 +1,5 @@
-//! Whether an answer could leave for a client: the kernel looks for the way, and sends nothing.
+//! Tells whether an answer could leave for a client. The kernel looks for the route and sends
+//! nothing.
 
 use std::io;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
@@ -10,17 +11,18 @@ use nix::sys::socket::{ControlMessage, MsgFlags, SockaddrStorage, sendmsg};
 use crate::datapath::socket::public::Listener;
 use crate::datapath::socket::sys::address::{in_addr, in6_addr};
 
-/// `MSG_PROBE` of the kernel, which libc lacks: with `MSG_CONFIRM` and without octets, a datagram gets
-/// as far as its way is found, and no further.
+/// `MSG_PROBE` of the kernel, which libc lacks. With this flag, with `MSG_CONFIRM` and without
+/// octets, the kernel finds the route of a datagram and then stops.
 const MSG_PROBE: libc::c_int = 0x10;
 const LOOK: MsgFlags =
     MsgFlags::from_bits_retain(libc::MSG_CONFIRM | libc::MSG_DONTWAIT | MSG_PROBE);
 
-/// Whether a datagram could leave from this socket and this address for there. Where the kernel does
-/// not tell, it could.
+/// Whether a datagram could leave from this socket and this address to `to`. When the kernel does
+/// not tell, the answer is yes.
 pub(in crate::datapath) fn exists(listener: &Listener, from: IpAddr, to: SocketAddr) -> bool {
     let from = listener.own_address().is_none().then_some(from);
-    // A broadcast address, no route, one that forbids it, or an address that is not this host's.
+    // The reasons: a broadcast address, no route, a route that forbids it, or an address that is
+    // not this machine's.
     let refusals = [Errno::EACCES, Errno::ENETUNREACH, Errno::EHOSTUNREACH, Errno::EINVAL];
     look(listener, from, to).map_or_else(|error| !refusals.contains(&error), |()| true)
 }

@@ -1,4 +1,4 @@
-//! What the control plane asks of a worker, done between two datagrams.
+//! Carries out what the control plane asks of a worker, between two datagrams.
 
 use std::mem;
 use std::sync::Arc;
@@ -17,10 +17,11 @@ use super::Worker;
 impl Worker {
     #[cold]
     pub(super) fn handle_commands(&mut self, now: Instant) {
-        // Only now is the flag down: what is asked from here on wakes us again.
+        // The flag goes down before the commands are read. So a command that comes after this wakes
+        // the worker again.
         let _ = self.wake.read();
         while let Ok(command) = self.commands.try_recv() {
-            // Who asked may have gone; then nobody wants to know.
+            // If the asker has gone, nobody needs the answer.
             match command {
                 Command::Ping(reply) => _ = reply.try_send(()),
                 Command::Flows(limit, reply) => {
@@ -42,13 +43,13 @@ impl Worker {
         }
     }
 
-    /// Goes over to another configuration, between two datagrams. It holds from the next one on;
-    /// the flows follow some at a time.
+    /// Goes over to another configuration between two datagrams. It holds from the next datagram
+    /// on; the flows follow in small groups.
     fn reload(&mut self, next: WorkerReload, now: Instant) {
         while self.reloading.is_some() {
             self.tidy(now);
         }
-        self.flush(now); // what waits to be sent is counted under the table that it came by
+        self.flush(now); // what waits is counted under the old table
         let WorkerReload { succession, listeners, upstream_limit, settings } = next;
         let before = mem::replace(&mut self.effects.public, listeners);
         let old = Arc::clone(self.core.table());
@@ -62,7 +63,8 @@ impl Worker {
         self.follow_core(&old, &before, upstream_limit, &settings);
     }
 
-    /// Has all that surrounds the core go over to the core's table.
+    /// Has everything around the core go over to the core's table. `before` are the public sockets
+    /// under the `old` table.
     pub(super) fn follow_core(
         &mut self,
         old: &Table,

@@ -1,8 +1,8 @@
-//! One worker: its public sockets, its upstream sockets, its core.
+//! One worker, with its public sockets, its upstream sockets and its core.
 //!
-//! A wake-up takes what is ready, at most its quota of each socket, lets the core judge it, and sends
-//! what may pass. A socket that has more waits for its next turn, so a flood on one port does not
-//! starve the others, nor the responses.
+//! At a wake-up the worker reads what is ready, from each socket at most its quota. It lets the
+//! core decide, and sends what may pass. A socket that has more waits for its next turn, so a flood
+//! on one port delays neither the other ports nor the responses.
 
 mod commands;
 mod relay;
@@ -35,12 +35,12 @@ use crate::datapath::socket::upstream::UpstreamSockets;
 use crate::logging::audit::Audit;
 use crate::logging::warnings::RateLimitedWarnings;
 
-/// How long a stopping worker waits for one more answer before it looks whether any is due.
+/// How long a stopping worker waits for one more answer before it checks whether any is still due.
 const DRAIN_TICK: Duration = Duration::from_millis(20);
-/// Ready sockets taken from the kernel at once.
+/// The most ready sockets that are taken from the kernel at once.
 const EVENTS: usize = 256;
 
-/// Everything one worker thread owns.
+/// Everything that one worker thread owns.
 pub(in crate::datapath) struct Worker {
     core: Core,
     effects: WorkerEffects,
@@ -49,11 +49,11 @@ pub(in crate::datapath) struct Worker {
     quota: ReceiveQuota,
     commands: Receiver<Command>,
     drain_until: Option<Instant>,
-    /// Something more is to be closed than was at once.
+    /// One call did not close all that is to be closed.
     expiring: bool,
-    /// Who waits until all flows have gone over to another configuration.
+    /// Where to report that all flows have gone over to another configuration.
     reloading: Option<SyncSender<usize>>,
-    /// Who waits until sockets are closed whose ports are wanted.
+    /// Where to report that the sockets whose ports are wanted are closed.
     closing: Option<SyncSender<()>>,
     ticker: Ticker,
     wake: Arc<EventFd>,
@@ -62,19 +62,19 @@ pub(in crate::datapath) struct Worker {
     busy: BusyPoll,
 }
 
-/// What the workers have in common.
+/// What all workers share.
 #[derive(Clone, Debug)]
 pub(in crate::datapath) struct Shared {
     pub audit: Arc<Audit>,
     pub ports: Arc<Ports>,
-    /// What the kernel drops on the upstream sockets.
+    /// Counts what the kernel drops on the upstream sockets.
     pub drops: Arc<NetDrops>,
 }
 
 /// What a worker is built from.
 pub(in crate::datapath) struct WorkerSetup {
     pub core: Core,
-    /// Watched by `epoll` already.
+    /// `epoll` watches them already.
     pub listeners: Listeners,
     pub shared: Shared,
     pub upstream_limit: usize,
@@ -118,7 +118,7 @@ impl Worker {
         Ok(worker)
     }
 
-    /// Relays until told to drain, and drained.
+    /// Relays until the worker is told to drain and has drained.
     pub(in crate::datapath) fn run(mut self) {
         let mut events = [EpollEvent::empty(); EVENTS];
         loop {
@@ -171,7 +171,7 @@ impl Worker {
         self.quota.note(key, received);
     }
 
-    /// Does some of what concerns many flows, so that datagrams have their turns in between.
+    /// Does a part of the work on many flows, so that datagrams are handled in between.
     #[inline]
     fn tidy(&mut self, now: Instant) {
         if self.floods.is_looking() {
@@ -184,7 +184,7 @@ impl Worker {
             && let Some(flows_closed) = self.core.go_over(now, &mut self.effects)
             && let Some(reply) = self.reloading.take()
         {
-            // Who asked may have gone; then nobody wants to know.
+            // If the asker has gone, nobody needs the answer.
             let _ = reply.try_send(flows_closed);
         }
         if self.closing.is_some()
@@ -195,7 +195,7 @@ impl Worker {
         }
     }
 
-    /// What has to be looked at about once a second.
+    /// Does what has to be done about once a second.
     #[cold]
     fn tick(&mut self) {
         self.ticker.read();

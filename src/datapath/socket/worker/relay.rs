@@ -1,4 +1,4 @@
-//! Datagrams through a worker: from a public socket to a server, and back.
+//! Carries datagrams through a worker: from a public socket to a server, and back.
 
 use std::os::fd::AsFd;
 use std::time::Instant;
@@ -14,7 +14,7 @@ use super::Worker;
 
 impl Worker {
     pub(super) fn relay_requests(&mut self, id: ListenerId, now: Instant) -> usize {
-        // Its socket may be closed, or not have its place yet.
+        // The socket may be closed already, or may not be in its place yet.
         let Some(listener) = self.effects.public.get(id) else { return 0 };
         let most = self.quota.most(EventKey::Public(id));
         let received = self.batch.receive(listener.socket.as_fd(), most, listener.destination());
@@ -30,7 +30,9 @@ impl Worker {
             let arrival = Arrival {
                 listener: id,
                 mapping,
-                // Where the socket has to tell, and does not, that is no unicast address.
+                // Without a control message, the address is the one that the socket is bound to. On
+                // a socket of all addresses it is then the unspecified address, which is no unicast
+                // address.
                 public_address: incoming.to.unwrap_or(address),
                 client: incoming.from,
             };
