@@ -18,7 +18,7 @@ use crate::datapath::socket::public::Listeners;
 pub struct ActiveConfig {
     /// The configuration.
     pub config: Config,
-    /// What the workers decide by.
+    /// The rules by which the workers decide.
     pub(in crate::datapath) rules: Rules,
     /// The counters of each worker. A figure of the relay is the sum over the workers.
     pub counters: Vec<Arc<Counters>>,

@@ -193,7 +193,7 @@ impl Router {
     }
 
     /// Returns up to `limit` open flows, with the table that they belong to. It asks the workers,
-    /// and returns nothing when one of them does not answer within a second or has ended.
+    /// and returns `None` when one of them does not answer within a second or has ended.
     pub async fn flows(&self, limit: usize) -> Option<Vec<(Arc<Table>, Vec<FlowRecord>)>> {
         let mut flows = self.ask(ANSWER_TIME, |reply| Command::Flows(limit, reply)).await?;
         let mut left = limit;

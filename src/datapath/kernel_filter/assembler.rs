@@ -22,7 +22,7 @@ pub(in crate::datapath) enum To {
 }
 
 /// A program without the two steps at its end, one of which refuses and the other accepts. A
-/// datagram that passes the last step here goes on to the step that refuses.
+/// datagram that gets past the last step here is refused.
 ///
 /// Passwords may be in the program, so it is wiped when it is dropped.
 pub(in crate::datapath) struct Program(Vec<(u32, u32, To, To)>);
@@ -36,7 +36,8 @@ impl Program {
         self.0.push((code, k, To::Next, To::Next));
     }
 
-    /// Compares the accumulator with `k`, and goes on to `holds` or to `fails`.
+    /// Compares the accumulator with `k`. Goes on to `holds` where the comparison holds, and to
+    /// `fails` where it does not.
     pub(in crate::datapath) fn compare(&mut self, comparison: u32, k: u32, holds: To, fails: To) {
         self.0.push((BPF_JMP | comparison | BPF_K, k, holds, fails));
     }

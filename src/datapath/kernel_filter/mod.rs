@@ -1,6 +1,6 @@
 //! Programs in classic BPF that the kernel runs on datagrams before a worker wakes up.
 //!
-//! Each module turns the NAT table into a program. None of them has unsafe code.
+//! These modules turn the NAT table into programs. None of them has unsafe code.
 
 pub(in crate::datapath) mod assembler;
 pub(in crate::datapath) mod flood;

@@ -11,7 +11,7 @@ use nix::sys::socket::{setsockopt, sockopt};
 use socket2::Socket;
 
 /// Has the kernel give each client's datagrams to one of the `workers` sockets that share the port
-/// of this one. The sockets count in the order in which they were bound.
+/// of this one. They are numbered in the order in which they were bound.
 pub(in crate::datapath) fn by_client(socket: &Socket, workers: usize) -> io::Result<()> {
     let mut program = if socket.domain()? == socket2::Domain::IPV4 {
         // The source address, and the source port where the header has no options. With options,

@@ -1,6 +1,6 @@
-//! Refuses, on an upstream socket, what no server sent: the upstream filter. It is on only while
-//! such datagrams flood the socket. Without it they would take the room of answers to other
-//! clients.
+//! The upstream filter: a classic BPF program on an upstream socket refuses what no server sent. It
+//! is on only while such datagrams flood the socket. Without it they would take the room that
+//! answers to other clients need.
 //!
 //! The program looks at the sender of a datagram, never at the content. It lets every server of the
 //! table through.

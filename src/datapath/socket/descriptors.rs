@@ -45,9 +45,9 @@ pub struct TooFewDescriptors {
     limit: usize,
 }
 
-/// Raises the soft limit to the hard one and divides it among the workers. When the configuration
-/// names no number of workers, there is one for every two cores, or as many as the limit allows.
-/// The kernel spends more time on a datagram than the worker does, so it needs cores too.
+/// Raises the soft limit to the hard one and divides it among the workers. Where the configuration
+/// does not set the number of workers, there is one for every two cores, or as many as the limit
+/// allows. The kernel spends more time on a datagram than the worker does, so it needs cores too.
 pub(in crate::datapath) fn plan(
     addresses: usize,
     workers: Option<NonZeroUsize>,

@@ -50,7 +50,7 @@ impl Effects for WorkerEffects {
     }
 
     fn is_own_address(&mut self, address: SocketAddr) -> bool {
-        // An error means that the system has no route there, so the address is not our own.
+        // The system has no route to an address that it refuses.
         options::is_own(address, self.upstream.ports()).unwrap_or(false)
     }
 

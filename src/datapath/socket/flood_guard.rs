@@ -46,7 +46,7 @@ pub(in crate::datapath) struct FloodGuard {
     warnings: RateLimitedWarnings,
 }
 
-/// What is known of a socket about floods.
+/// The state of a socket.
 #[derive(Clone, Copy, Debug, Default)]
 struct Watched {
     /// The kernel's figure at the last look.
@@ -61,7 +61,7 @@ enum Whose {
     Worker,
 }
 
-/// The state of a flood over many sockets, or of no flood.
+/// What is known of a flood over many sockets.
 #[derive(Debug, Default)]
 struct Flood {
     watch: FloodWatch,

@@ -1,4 +1,4 @@
-//! A datapath of UDP sockets: workers that share nothing, each with its epoll.
+//! A datapath of UDP sockets. The workers share no socket and no flow, and each has its own epoll.
 
 pub(in crate::datapath) mod busy_poll;
 pub(in crate::datapath) mod descriptors;

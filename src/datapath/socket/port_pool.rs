@@ -171,7 +171,7 @@ impl Drop for Port {
     }
 }
 
-/// The ports that a configuration needs on this host.
+/// The ports that a configuration needs on this machine.
 fn needed(config: &Config) -> impl Iterator<Item = RangeInclusive<u16>> {
     let blocks = config.table.nets().iter().filter_map(|net| match net.kind {
         NetKind::UdpRange { start_port } => Some(start_port..=start_port.saturating_add(BLOCK_END)),

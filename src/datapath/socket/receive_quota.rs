@@ -1,9 +1,9 @@
 //! Decides how many datagrams a worker asks a socket for in its turn.
 //!
-//! When the worker asks for more than there are, the kernel looks once in vain, before the received
+//! When the worker asks for more than there are, the kernel looks once in vain before the received
 //! datagrams can be sent on. When the worker asks for fewer, the socket needs another turn. So the
-//! worker first asks a socket for one datagram, and for more as soon as two turns in a row use the
-//! whole quota.
+//! worker first asks a socket for one datagram. It asks for more when the socket used its whole
+//! quota in the wake-up right before.
 
 use crate::datapath::socket::event_key::EventKey;
 use crate::datapath::socket::sys::batch::AT_ONCE;

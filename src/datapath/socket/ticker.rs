@@ -21,7 +21,7 @@ pub(in crate::datapath) struct Ticker {
 }
 
 impl Ticker {
-    /// A ticker that does not run yet. `epoll` will tell of each tick.
+    /// A ticker that does not run yet. `epoll` will report each tick.
     pub(in crate::datapath) fn new(epoll: &Epoll) -> io::Result<Self> {
         let flags = TimerFlags::TFD_NONBLOCK | TimerFlags::TFD_CLOEXEC;
         let timer = TimerFd::new(ClockId::CLOCK_MONOTONIC, flags)?;

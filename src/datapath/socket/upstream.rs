@@ -44,7 +44,7 @@ pub(super) struct Upstream {
 
 impl UpstreamSockets {
     /// No sockets, and none may be opened before the first [`reload`](Self::reload). `epoll` will
-    /// tell of what arrives. `drops` counts what the kernel drops.
+    /// report what arrives. `drops` counts what the kernel drops.
     pub(super) fn new(epoll: Arc<Epoll>, ports: Arc<Ports>, drops: Arc<NetDrops>) -> Self {
         Self {
             epoll,

@@ -1,4 +1,4 @@
-//! Socket addresses and control messages in the kernel's layout.
+//! Socket addresses and control messages in the memory layout of the kernel.
 
 use std::iter;
 use std::mem;
@@ -32,11 +32,11 @@ impl Name {
         ptr::from_mut(self).cast()
     }
 
-    /// The address that the kernel wrote in `len` octets.
+    /// Reads the address that the kernel wrote in `len` octets.
     #[inline]
     pub(in crate::datapath) fn address(&self, len: libc::socklen_t) -> Option<SocketAddr> {
         if len > Self::CAPACITY {
-            return None; // of no family that is known here, and cut short
+            return None; // cut short: of a family that is not known here
         }
         // SAFETY: every variant begins with the family, and all octets are initialised.
         let family = libc::c_int::from(unsafe { self.family });
@@ -55,7 +55,7 @@ impl Name {
         None
     }
 
-    /// Writes an address and returns the octets it takes.
+    /// Writes an address and returns the number of octets that it takes.
     #[inline]
     pub(in crate::datapath) fn set(&mut self, address: SocketAddr) -> libc::socklen_t {
         match address {
@@ -82,16 +82,17 @@ impl Name {
     }
 }
 
-/// Room for control messages: the local address of a datagram, in or out, and on the way out the
-/// length of the datagrams that leave as one.
+/// Room for control messages. One tells the local address of a datagram, in or out. On the way out,
+/// another tells the length of the datagrams that leave as one message.
 #[derive(Clone, Copy)]
 #[repr(C, align(8))]
 pub(in crate::datapath) struct Control([u8; Control::CAPACITY]);
 
-/// Where a control message's content begins, counted from the message.
+/// Where the content of a control message begins, counted from the message.
 const CONTENT: usize = message_len(0);
 
-// The kernel reads and writes headers in place, and nothing of ours goes beyond the room.
+// The kernel reads and writes headers in place, and nothing that the relay writes goes beyond the
+// room.
 const _: () = {
     assert!(align_of::<Control>() >= align_of::<libc::cmsghdr>());
     assert!(size_of::<Control>() == Control::CAPACITY);
@@ -99,13 +100,13 @@ const _: () = {
     assert!(size_of::<libc::in_pktinfo>() == 12 && size_of::<libc::in6_pktinfo>() == 20);
 };
 
-/// Octets of a control message with this much content, what follows it left out.
+/// Octets of a control message with this much content, without what follows it.
 const fn message_len(content: usize) -> usize {
-    // SAFETY: it only reckons.
+    // SAFETY: it only computes.
     (unsafe { libc::CMSG_LEN(content as libc::c_uint) }) as usize
 }
 
-/// Octets from a control message with this much content to the next one.
+/// Octets from a control message with this much content to the next message.
 const fn message_space(content: usize) -> usize {
     // SAFETY: as above.
     (unsafe { libc::CMSG_SPACE(content as libc::c_uint) }) as usize
@@ -138,11 +139,12 @@ impl Control {
         &self.0[..len.min(Self::CAPACITY)]
     }
 
-    /// The local address that a datagram was sent to, in the `len` octets that the kernel wrote.
+    /// Reads the local address that a datagram was sent to, from the `len` octets that the kernel
+    /// wrote.
     ///
-    /// None for a socket that was not asked to tell, nor where the message was cut short, nor for
-    /// a datagram that was sent to a broadcast or multicast address: to be answered, IPv4 then names
-    /// another address than the one in the datagram's header.
+    /// There is none when the socket was not asked to tell it, when the message was cut short, or
+    /// when the datagram was sent to a broadcast or multicast address. For such a datagram, IPv4
+    /// names another address to answer from than the one in the datagram's header.
     #[inline]
     pub(in crate::datapath) fn local_address(&self, len: usize) -> Option<IpAddr> {
         self.messages(len).find_map(|message| match (message.level, message.kind) {
@@ -176,8 +178,8 @@ impl Control {
         })
     }
 
-    /// Writes the message that makes a datagram leave from `source`, by whichever interface routing
-    /// picks, and returns the octets it takes.
+    /// Writes the message that makes a datagram leave from `source`, and returns the number of
+    /// octets that it takes. Routing picks the interface.
     #[inline]
     pub(in crate::datapath) fn set_source(&mut self, source: IpAddr) -> usize {
         match source {
@@ -185,7 +187,7 @@ impl Control {
                 let info = libc::in_pktinfo {
                     ipi_ifindex: 0,
                     ipi_spec_dst: in_addr(source),
-                    ipi_addr: in_addr(source), // told, and not looked at
+                    ipi_addr: in_addr(source), // the kernel ignores it
                 };
                 self.put(0, libc::IPPROTO_IP, libc::IP_PKTINFO, info)
             }
@@ -196,15 +198,16 @@ impl Control {
         }
     }
 
-    /// Adds, behind the `len` octets of [`set_source`](Self::set_source), the message that makes
-    /// the kernel cut what is sent into datagrams of so many octets, and returns the octets that
-    /// both take.
+    /// Adds the message that makes the kernel cut what is sent into datagrams of `octets` octets.
+    /// It stands behind the `len` octets of [`set_source`](Self::set_source). Returns the number of
+    /// octets that both messages take.
     #[inline]
     pub(in crate::datapath) fn add_segment_len(&mut self, len: usize, octets: u16) -> usize {
         self.put(len, libc::SOL_UDP, libc::UDP_SEGMENT, octets)
     }
 
-    /// Writes a message behind the first `at` octets, and returns where the next one would begin.
+    /// Writes a message behind the first `at` octets, and returns where the next message would
+    /// begin.
     #[inline]
     fn put<T: Copy>(&mut self, at: usize, level: i32, kind: i32, content: T) -> usize {
         let end = at + message_space(size_of::<T>());
@@ -225,7 +228,7 @@ impl Control {
 }
 
 impl Message<'_> {
-    /// What the message says, if it is long enough.
+    /// The content of the message, if the message is long enough.
     ///
     /// # Safety
     ///
@@ -233,7 +236,8 @@ impl Message<'_> {
     #[inline]
     unsafe fn content<T: Copy>(&self) -> Option<T> {
         let content = self.content.get(..size_of::<T>())?;
-        // SAFETY: so many octets are there, which need not be aligned; the rest the caller promises.
+        // SAFETY: as many octets as `T` has are there, which need not be aligned; the caller
+        // promises the rest.
         Some(unsafe { content.as_ptr().cast::<T>().read_unaligned() })
     }
 }
@@ -348,7 +352,7 @@ mod tests {
             unsafe { self.messages(len).find(is_it)?.content() }
         }
 
-        /// Changes the length that the first message tells.
+        /// Changes the length that the first message has in its header.
         fn set_len(&mut self, len: usize) {
             let header = self.0.as_mut_ptr().cast::<libc::cmsghdr>();
             // SAFETY: a header stands at the beginning, aligned as `Control` is.

@@ -1,7 +1,8 @@
-//! Waiting for what is to be done next.
+//! Waits for events.
 //!
-//! The system call is made directly, for the reason that `batch::calls` has: the C library would make
-//! it a cancellation point, at half of what the call itself costs when something is ready.
+//! The system call is made directly, for the same reason as in `batch::calls`: the C library would
+//! make it a cancellation point, which costs half as much as the call itself when something is
+//! ready.
 
 use std::os::fd::AsRawFd;
 use std::ptr;
@@ -10,8 +11,8 @@ use libc::c_long;
 use nix::errno::Errno;
 use nix::sys::epoll::{Epoll, EpollEvent, EpollTimeout};
 
-/// Waits until something is ready, or until the time is out, and returns how many of `events` tell
-/// what.
+/// Waits until something is ready or the time is out. Returns how many of `events` the kernel
+/// wrote.
 pub(in crate::datapath) fn wait(
     epoll: &Epoll,
     events: &mut [EpollEvent],

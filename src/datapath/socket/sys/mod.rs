@@ -1,5 +1,5 @@
-//! The only unsafe code of the program: system calls that no library lends in the shape that a
-//! worker needs, and the layouts that they take.
+//! The only unsafe code of the program: system calls that no library offers in the form that a
+//! worker needs, and the memory layouts that they take.
 
 #[allow(unsafe_code)]
 pub(in crate::datapath) mod address;

@@ -1,8 +1,8 @@
-//! UDP sockets as the router needs them: public ones, which clients send to, and upstream ones,
-//! which talk to the servers.
+//! Opens UDP sockets with the options that the relay needs: public ones, which clients send to, and
+//! upstream ones, which talk to the servers.
 //!
-//! None is ever connected: an ICMP error then reaches no socket, so a dead server can neither
-//! close a flow nor fail the next healthy send (N-7).
+//! No socket that carries datagrams is ever connected. So no ICMP error reaches a socket, and a
+//! dead server can neither close a flow nor make the next healthy send fail (N-7).
 
 use std::io;
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
@@ -18,17 +18,18 @@ use crate::datapath::kernel_filter::reuseport;
 use crate::datapath::socket::port_pool::{Port, Ports};
 use crate::listen::CallError;
 
-/// Octets of send buffer to ask the kernel for, for each upstream socket; `sysctl
-/// net.core.wmem_max` bounds it. Requests to a node that is switched off fill up to 208 KiB of it,
-/// while the kernel asks for the node's hardware address: as much as a send buffer is by default,
-/// and then the socket serves no other node either.
+/// Octets of send buffer that the relay asks the kernel for, for each upstream socket; `sysctl
+/// net.core.wmem_max` limits it. While the kernel asks for the hardware address of a node that is
+/// switched off, requests to that node fill up to 208 KiB of the buffer. A send buffer is that long
+/// by default, so the socket could then serve no other node.
 const SEND_BUFFER: usize = 4 << 20;
 
-/// More octets than a datagram takes of a receive buffer, with the kernel's own bookkeeping.
+/// More octets than a datagram takes of a receive buffer, with the kernel's own bookkeeping
+/// included.
 const A_DATAGRAM: u32 = 2304;
 
-/// Opens the public sockets of one address, one for each worker, in the workers' order. The kernel
-/// spreads clients over them; `steer` decides how.
+/// Opens the public sockets of one address, one for each worker, in the order of the workers. The
+/// kernel spreads clients over them as `reuseport` tells it to.
 pub(in crate::datapath) fn public(
     address: SocketAddr,
     workers: usize,
@@ -38,8 +39,8 @@ pub(in crate::datapath) fn public(
         socket.set_reuse_port(true).map_err(CallError::of("setsockopt SO_REUSEPORT"))
     };
     let bind = |socket: &Socket| socket.bind(&address.into()).map_err(CallError::of("bind"));
-    // The first binds alone, so that a port which another program uses is noticed even when that
-    // program is willing to share. It shares afterwards.
+    // The first socket binds alone. So a port that another program uses is noticed even when that
+    // program is willing to share it. The socket shares its port afterwards.
     let first = udp(address.is_ipv4(), receive_buffer)?;
     tell_local_address(&first, address.ip())?;
     bind(&first)?;
@@ -61,7 +62,7 @@ pub(in crate::datapath) fn public(
     Ok(sockets)
 }
 
-/// Opens a socket towards servers, on one of these ports.
+/// Opens an upstream socket on one of these ports.
 pub(in crate::datapath) fn upstream(
     ipv4: bool,
     receive_buffer: usize,
@@ -75,10 +76,11 @@ pub(in crate::datapath) fn upstream(
     Ok((socket, port))
 }
 
-/// Whether an address is one of this host's: what goes there leaves from there. Sends nothing.
+/// Whether an address is one of this machine's own. The source address that the kernel picks
+/// towards such an address is that address itself. Sends nothing.
 pub(in crate::datapath) fn is_own(address: SocketAddr, ports: &Arc<Ports>) -> io::Result<bool> {
     if address.ip().is_loopback() {
-        return Ok(true); // where each address leads to all the others
+        return Ok(true); // any loopback address leads to all others
     }
     let socket = Socket::new(Domain::for_address(address), Type::DGRAM, Some(Protocol::UDP))?;
     let port = ports.bind(&socket, any(address.is_ipv4()))?;
@@ -87,21 +89,22 @@ pub(in crate::datapath) fn is_own(address: SocketAddr, ports: &Arc<Ports>) -> io
     Ok(socket.local_addr()?.as_socket().is_some_and(|own| own.ip() == address.ip()))
 }
 
-/// Whether the kernel cuts a message into datagrams when it is asked to (UDP_SEGMENT, Linux 4.18).
+/// Whether the kernel cuts a message into datagrams when it is asked to (UDP_SEGMENT, since Linux
+/// 4.18).
 pub(in crate::datapath) fn cuts_messages() -> bool {
     let socket = Socket::new(Domain::IPV4, Type::DGRAM, Some(Protocol::UDP));
     socket.is_ok_and(|socket| setsockopt(&socket, sockopt::UdpGsoSegment, &0).is_ok())
 }
 
-/// Octets of receive buffer that a socket got. The kernel grants twice what it counts as payload,
-/// for its own bookkeeping.
+/// Octets of receive buffer that a socket got. The kernel counts twice as many octets as it grants
+/// for payload, because of its own bookkeeping.
 pub(in crate::datapath) fn receive_buffer(socket: &Socket) -> io::Result<usize> {
     Ok(socket.recv_buffer_size()? / 2)
 }
 
-/// Datagrams that the kernel dropped on a socket, since it was opened: a filter refused them, its
-/// buffer was full, or memory short. And whether its buffer is full now: has no room for another
-/// datagram.
+/// Datagrams that the kernel dropped on a socket since it was opened, because a filter refused
+/// them, the buffer was full or memory was short. The second value tells whether the buffer is full
+/// now: whether it has no room for another datagram.
 pub(in crate::datapath) fn kernel_drops(socket: &Socket) -> io::Result<(u32, bool)> {
     let mut figures = [0_u32; libc::SK_MEMINFO_DROPS as usize + 1];
     let mut len = size_of_val(&figures) as libc::socklen_t;
@@ -134,7 +137,7 @@ fn udp(ipv4: bool, receive_buffer: usize) -> Result<Socket, CallError> {
     let socket = Socket::new(domain, Type::DGRAM.nonblocking(), Some(Protocol::UDP))
         .map_err(CallError::of("socket"))?;
     if !ipv4 {
-        // An IPv4 socket beside it serves IPv4.
+        // A separate IPv4 socket serves IPv4.
         socket.set_only_v6(true).map_err(CallError::of("setsockopt IPV6_V6ONLY"))?;
     }
     let sized = socket.set_recv_buffer_size(receive_buffer);
@@ -145,8 +148,8 @@ fn udp(ipv4: bool, receive_buffer: usize) -> Result<Socket, CallError> {
     Ok(socket)
 }
 
-/// Has nothing arrive that was sent to a multicast group, of which a socket of ours is never a member:
-/// by default it would get what others on the host have joined.
+/// Keeps out what is sent to multicast groups. A socket of the relay is never a member of one, but
+/// by default it would get what other programs on this machine have joined.
 fn leave_groups_alone(socket: &Socket, ipv4: bool) -> io::Result<()> {
     let (level, name) = if ipv4 {
         (libc::IPPROTO_IP, libc::IP_MULTICAST_ALL)
@@ -159,9 +162,9 @@ fn leave_groups_alone(socket: &Socket, ipv4: bool) -> io::Result<()> {
     }
 }
 
-/// Has IPv4 datagrams leave with "don't fragment", whatever is claimed about the way: the longest
-/// makes a packet of 135 octets, which every link in use takes. The kernel then need not choose a
-/// number for fragments to find each other by (RFC 6864, 4.1).
+/// Has IPv4 datagrams leave with "don't fragment", whatever path MTU somebody claims. The longest
+/// datagram makes a packet of 135 octets, which every link in use takes. Then the kernel need not
+/// choose the number that fragments are put together by (RFC 6864, 4.1).
 fn stay_whole(socket: &Socket) -> io::Result<()> {
     let (name, probe) = (libc::IP_MTU_DISCOVER, libc::IP_PMTUDISC_PROBE);
     Ok(set_option(socket, libc::IPPROTO_IP, name, probe)?)
@@ -181,7 +184,8 @@ fn set_option(socket: &Socket, level: c_int, name: c_int, value: c_int) -> nix::
     Errno::result(result).map(drop)
 }
 
-/// A socket on all addresses has to learn which one a request came to, and to answer from it.
+/// A socket on all addresses has to learn which address a request came to, so that the answer
+/// leaves from there.
 fn tell_local_address(socket: &Socket, bound: IpAddr) -> Result<(), CallError> {
     match bound {
         IpAddr::V4(Ipv4Addr::UNSPECIFIED) => setsockopt(socket, sockopt::Ipv4PacketInfo, &true)

@@ -49,7 +49,7 @@ pub(in crate::datapath) struct Worker {
     quota: ReceiveQuota,
     commands: Receiver<Command>,
     drain_until: Option<Instant>,
-    /// One call did not close all that is to be closed.
+    /// Whether more is left to close than one call closes.
     expiring: bool,
     /// Where to report that all flows have gone over to another configuration.
     reloading: Option<SyncSender<usize>>,

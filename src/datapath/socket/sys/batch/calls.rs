@@ -1,8 +1,8 @@
 //! The system calls of a batch, behind a trait so that tests can play the kernel.
 //!
-//! They are made directly: the C library would make each a cancellation point, which costs as much
-//! as all of the relay's own work on a datagram. What goes through its variadic `syscall` is as
-//! wide as what that takes from there: a `c_long`, or a pointer.
+//! The calls are made directly. The C library would make each a cancellation point, which costs as
+//! much as all of the relay's own work on a datagram. The library's variadic function `syscall`
+//! reads each argument as a `c_long` or a pointer, so each argument is passed in that width.
 
 use std::os::fd::{AsRawFd, BorrowedFd};
 use std::ptr;
@@ -12,17 +12,17 @@ use nix::errno::Errno;
 
 use crate::datapath::socket::sys::options;
 
-/// What receives and sends datagrams. Nothing waits.
+/// The kernel's calls that receive and send datagrams. No call waits.
 pub(in crate::datapath) trait Kernel {
-    /// Whether it cuts a message into datagrams when it is asked to (UDP_SEGMENT).
+    /// Whether the kernel cuts a message into datagrams when it is asked to (UDP_SEGMENT).
     fn cuts_messages(&self) -> bool;
 
-    /// Receives up to `count` datagrams and returns how many.
+    /// Receives up to `count` datagrams and returns how many it received.
     ///
     /// # Safety
     ///
-    /// There are `count` messages, whose pointers lead to as much room as they say, none of which
-    /// is used otherwise during the call.
+    /// There are `count` messages. Their pointers lead to as much room as the messages say, and
+    /// nothing else uses any of it during the call.
     unsafe fn recvmmsg(
         &self,
         socket: BorrowedFd<'_>,
@@ -34,8 +34,8 @@ pub(in crate::datapath) trait Kernel {
     ///
     /// # Safety
     ///
-    /// There is room for `len` octets, and for so many of a name as `name_len` points at; none of
-    /// it is used otherwise during the call.
+    /// There is room for `len` octets of the datagram, and for as many octets of a name as the
+    /// number that `name_len` points at. Nothing else uses any of it during the call.
     unsafe fn recvfrom(
         &self,
         socket: BorrowedFd<'_>,
@@ -45,7 +45,8 @@ pub(in crate::datapath) trait Kernel {
         name_len: *mut socklen_t,
     ) -> nix::Result<usize>;
 
-    /// Sends messages, as many as it takes, and returns how many; the error is the first one's.
+    /// Sends as many of the messages as it takes, and returns how many. An error is that of the
+    /// first message.
     ///
     /// # Safety
     ///
@@ -72,7 +73,7 @@ pub(in crate::datapath) trait Kernel {
     ) -> nix::Result<usize>;
 }
 
-/// The kernel that there is.
+/// The real kernel.
 #[derive(Clone, Copy, Debug, Default)]
 pub(in crate::datapath) struct Linux;
 

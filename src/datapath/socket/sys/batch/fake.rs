@@ -1,7 +1,8 @@
-//! Batches on a kernel that the tests play: what the real one does seldom, or only elsewhere.
+//! Tests batches on a kernel that the tests play. It does what the real kernel does seldom or only
+//! on other machines.
 //!
-//! It follows the pointers that it is handed as the real one does, and makes no system call, so that
-//! Miri can watch it.
+//! It follows the pointers that it is handed as the real kernel does. It makes no system call, so
+//! that Miri can watch it.
 
 use std::cell::RefCell;
 use std::collections::VecDeque;
@@ -14,33 +15,33 @@ use super::*;
 const TAG: Tag =
     Tag { mapping: MappingId(0), direction: Direction::Response, octets: 0, asks: None };
 
-/// What comes to a receive.
+/// What a receive gets.
 enum Arrival {
     Datagram { name: Vec<u8>, control: Vec<u8>, octets: Vec<u8> },
     Error(Errno),
 }
 
-/// What comes of a send.
+/// What becomes of a send.
 #[derive(Clone, Copy)]
 enum Outcome {
-    /// So many messages are taken.
+    /// This many messages are taken.
     Takes(usize),
     /// One message is taken without its last octet.
     CutsOne,
     Error(Errno),
 }
 
-/// A datagram that left: where to, from where, and what.
+/// A datagram that left: its destination, its source and its octets.
 type Sent = (SocketAddr, Option<IpAddr>, Vec<u8>);
 
 #[derive(Default)]
 struct Fake {
     cuts_messages: bool,
     arrivals: RefCell<VecDeque<Arrival>>,
-    /// When none is left, everything is taken.
+    /// When no outcome is left, everything is taken.
     outcomes: RefCell<VecDeque<Outcome>>,
     sent: RefCell<Vec<Sent>>,
-    /// Messages in each call to send.
+    /// Number of messages in each call to send.
     calls: RefCell<Vec<usize>>,
 }
 
@@ -146,11 +147,12 @@ impl Kernel for Fake {
     }
 }
 
-/// Name, control messages and octets.
+/// Name, control messages and octets of an arrival.
 type Came = (Vec<u8>, Vec<u8>, Vec<u8>);
 
 impl Fake {
-    /// The next arrival. An error is told when nothing came before it, and else the next time.
+    /// The next arrival. An error is returned at once when nothing arrived before it, otherwise at
+    /// the next call.
     fn arrival(&self, first: bool) -> nix::Result<Option<Came>> {
         let mut arrivals = self.arrivals.borrow_mut();
         match arrivals.pop_front() {
@@ -165,14 +167,14 @@ impl Fake {
         }
     }
 
-    /// Takes down what left, cut apart where that was asked for.
+    /// Records what left, cut into datagrams where that was asked for.
     fn note(&self, name: &[u8], control: &[u8], octets: &[u8]) {
         let mut its_name = Name::default();
         // SAFETY: a name of ours fits in a name.
         unsafe { fill(its_name.as_mut_ptr(), Name::CAPACITY as usize, name) };
         let to = its_name.address(name.len() as socklen_t).unwrap();
         let mut its_control = Control::default();
-        // SAFETY: and so do control messages.
+        // SAFETY: control messages of ours fit in a `Control` too.
         unsafe { fill(its_control.as_mut_ptr(), Control::CAPACITY, control) };
         let from = its_control.local_address(control.len());
         let segment = its_control.segment_len(control.len()).map_or(octets.len(), usize::from);
@@ -184,7 +186,7 @@ impl Fake {
     }
 }
 
-/// Writes as much as there is room for, and returns how much that is.
+/// Writes as many octets as there is room for, and returns how many.
 unsafe fn fill(room: *mut c_void, len: usize, octets: &[u8]) -> usize {
     let len = len.min(octets.len());
     // SAFETY: the caller promises room for `len` octets.
@@ -224,7 +226,7 @@ fn batch(arrivals: impl IntoIterator<Item = Arrival>) -> Batch<Fake> {
     Batch::on(Fake { arrivals, cuts_messages: true, ..Fake::default() })
 }
 
-/// What the last receive brought, as sender, local address and octets.
+/// What the last receive got: sender, local address and octets.
 fn told(batch: &mut Batch<Fake>, count: usize) -> Vec<Option<Sent>> {
     let told = |index| batch.incoming(index).map(|i| (i.from, i.to, i.octets.to_vec()));
     (0..count).map(told).collect()
@@ -269,7 +271,7 @@ fn one_is_received_like_many() {
     }
 }
 
-/// What was in the slot before is not taken for what came.
+/// What the slot held before is not taken for part of the new datagram.
 #[test]
 fn what_the_kernel_cut_short_tells_nothing() {
     let whole = datagram("[2001:db8::7]:1", "2001:db8::1", &[6; 38]);
@@ -310,7 +312,8 @@ fn errors_of_a_receive_come_after_what_was_received() {
     assert_eq!(batch.receive(socket(), AT_ONCE, Destination::FromControl).unwrap(), 1);
 }
 
-/// As many as there is room for, from one turn after another, wherever the batch has been meanwhile.
+/// The batch receives until it is full, from one turn to the next, and may be moved in memory
+/// before it sends.
 #[test]
 fn what_was_received_is_sent_on() {
     let number = |n: usize| [(n >> 8) as u8, n as u8];
@@ -348,7 +351,7 @@ fn what_was_received_is_sent_on() {
     }
 }
 
-/// Sends what is queued, and tells what was reported.
+/// Sends what is queued, and returns what was reported.
 fn flush(batch: &mut Batch<Fake>) -> Vec<Result<(), Option<i32>>> {
     let mut outcomes = Vec::new();
     let report = |_: Tag, outcome: io::Result<()>| {
@@ -358,7 +361,8 @@ fn flush(batch: &mut Batch<Fake>) -> Vec<Result<(), Option<i32>>> {
     outcomes
 }
 
-/// Queues datagrams of these lengths to one receiver, each filled with its number, with a source.
+/// Queues datagrams of these lengths to one receiver, with a source address. Each is filled with
+/// its number.
 fn queue(batch: &mut Batch<Fake>, to: &str, lengths: &[usize]) {
     for (number, &octets) in (0..).zip(lengths) {
         let slot = batch.used;
@@ -384,7 +388,7 @@ fn a_send_that_takes_some_goes_on_with_the_rest() {
             vec![4, 3, 2],
         ),
         (vec![Outcome::Error(Errno::EAGAIN); 4], vec![eagain; 4], vec![4, 3, 2, 1]),
-        // Never seen of the real kernel.
+        // The real kernel has never been seen to do this.
         (vec![Outcome::Takes(0)], vec![eagain, Ok(()), Ok(()), Ok(())], vec![4, 3]),
         (vec![Outcome::Takes(5)], vec![Ok(()); 4], vec![4]),
         (
@@ -433,8 +437,8 @@ fn a_burst_leaves_as_one_message() {
     assert_eq!(lengths, expected);
 }
 
-/// Then each datagram has its own chance, and the next burst leaves as one again, unless no way out
-/// reckons checksums.
+/// After a refusal each datagram is tried alone. The next burst leaves as one message again, unless
+/// the error says that some way out does not compute checksums.
 #[test]
 fn a_burst_that_is_refused_leaves_one_by_one() {
     for (error, again) in
@@ -467,7 +471,7 @@ fn what_has_no_socket_any_more_is_reported() {
     assert!(batch.kernel.sent.borrow().is_empty());
 }
 
-/// How a socket is asked that tells, or that does not.
+/// How a socket is asked: one that tells the destination, or one that does not.
 pub(super) fn destination(tells: bool) -> Destination {
     if tells { Destination::FromControl } else { Destination::Bound }
 }

@@ -1,12 +1,13 @@
-//! Datagrams in and out in batches, through recvmmsg and sendmmsg; one that is alone goes through
-//! recvfrom and sendto, which follow no header and save a tenth of a microsecond each.
+//! Receives and sends datagrams in batches, through recvmmsg and sendmmsg. A single datagram goes
+//! through recvfrom and sendto, which need no message header and save a tenth of a microsecond
+//! each.
 //!
-//! The receive buffer is the send buffer: what was received stays in its slot until it has been
-//! sent on. Every pointer that the kernel follows is made right before the call that hands it over,
-//! and nothing touches what it leads to until that call is back.
+//! The receive buffer is also the send buffer: a received datagram stays in its slot until it has
+//! been sent on. Every pointer that the kernel follows is made right before the call that hands it
+//! over. Nothing touches the memory behind it until that call has returned.
 //!
 //! Datagrams of one length to one receiver are handed over as one message, which the kernel cuts
-//! apart as late as it can (UDP_SEGMENT): a burst goes through most of the system once.
+//! apart as late as it can (UDP_SEGMENT). So a burst goes through most of the system once.
 
 mod calls;
 #[cfg(test)]
@@ -28,13 +29,14 @@ use crate::nat::{Direction, FlowId, MappingId};
 use crate::datapath::socket::sys::address::{Control, Name};
 use calls::{Kernel, Linux};
 
-/// Octets kept of a datagram. A longer one is cut, and still longer than any that is accepted.
+/// Octets that are kept of a datagram. A longer datagram is cut, and what is left is still longer
+/// than any that is accepted.
 const SLOT: usize = 128;
-/// Datagrams held between two sends.
+/// The most datagrams that are held between two sends.
 const SLOTS: usize = 512;
-/// Datagrams taken from one socket before the next one has its turn.
+/// The most datagrams that are taken from one socket before the next socket has its turn.
 pub(in crate::datapath) const AT_ONCE: usize = 32;
-/// Datagrams that one message may be cut into; older kernels refuse more.
+/// The most datagrams that one message may be cut into. Older kernels refuse more.
 const SEGMENTS: usize = 64;
 
 #[derive(Clone, Copy)]
@@ -47,13 +49,13 @@ pub(in crate::datapath) struct Batch<K = Linux> {
     octets: Box<[Octets]>,
     names: Box<[Name]>,
     controls: Box<[Control]>,
-    /// Of the last receive, a datagram each,
+    /// The messages of the last receive, one for each datagram.
     incoming: Box<[libc::mmsghdr]>,
-    /// and where they put octets.
+    /// Where these messages put octets.
     rooms: Box<[libc::iovec]>,
-    /// Messages to be sent,
+    /// Messages that are to be sent.
     headers: Box<[libc::mmsghdr]>,
-    /// and the octets in them.
+    /// The octets in these messages.
     parts: Box<[libc::iovec]>,
     queue: Vec<Outgoing>,
     /// Slots that hold datagrams until the flush.
@@ -62,26 +64,26 @@ pub(in crate::datapath) struct Batch<K = Linux> {
     segments: bool,
 }
 
-// SAFETY: the pointers in headers, rooms and parts are leftovers between calls: each call that has
-// the kernel follow some sets them first, to what the same batch owns.
+// SAFETY: between calls, the pointers in headers, rooms and parts are leftovers: each call that has
+// the kernel follow some of them sets them first, to memory that the same batch owns.
 unsafe impl<K: Send> Send for Batch<K> {}
 
-/// How the address is known that a datagram was sent to.
+/// How the address that a datagram was sent to is known.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(in crate::datapath) enum Destination {
-    /// It is the one that the socket is bound to, or of no interest.
+    /// The address is the one that the socket is bound to, or nobody needs it.
     Bound,
-    /// A control message of each datagram tells it.
+    /// A control message of each datagram tells the address.
     FromControl,
 }
 
-/// What was received in one slot.
+/// The datagram that was received in one slot.
 pub(in crate::datapath) struct Incoming<'a> {
-    /// Where it waits until [`Batch::queue`].
+    /// The slot in which the datagram waits until [`Batch::queue`].
     pub slot: usize,
     /// The sender.
     pub from: SocketAddr,
-    /// The unicast address it was sent to, when the socket tells.
+    /// The unicast address that the datagram was sent to, when the socket tells it.
     pub to: Option<IpAddr>,
     /// The datagram, or its beginning.
     pub octets: &'a mut [u8],
@@ -89,9 +91,9 @@ pub(in crate::datapath) struct Incoming<'a> {
 
 /// A datagram that waits to be sent.
 struct Outgoing {
-    /// Which socket sends it, in the caller's own numbers.
+    /// The socket that sends the datagram, in the caller's own numbers.
     key: u64,
-    /// The same for all datagrams to one receiver.
+    /// A number that is the same for all datagrams to one receiver.
     peer: u64,
     slot: usize,
     name_len: libc::socklen_t,
@@ -99,7 +101,7 @@ struct Outgoing {
     tag: Tag,
 }
 
-/// What the caller wants back with the outcome of a send.
+/// What the caller gets back with the outcome of a send.
 #[derive(Clone, Copy, Debug)]
 pub(in crate::datapath) struct Tag {
     pub mapping: MappingId,
@@ -116,7 +118,7 @@ impl Batch {
 }
 
 impl<K: Kernel> Batch<K> {
-    /// A batch whose datagrams this kernel receives and sends.
+    /// A batch that receives and sends through this kernel.
     fn on(kernel: K) -> Self {
         // SAFETY: message headers and parts are plain integers and pointers; all zero is valid.
         let (header, part): (libc::mmsghdr, libc::iovec) =
@@ -141,7 +143,8 @@ impl<K: Kernel> Batch<K> {
         self.used + AT_ONCE > SLOTS
     }
 
-    /// Takes what waits on a socket, up to `most` datagrams, of [`AT_ONCE`], and returns how many.
+    /// Takes up to `most` datagrams that wait on a socket, and returns how many it took. `most` is
+    /// at most [`AT_ONCE`].
     pub(in crate::datapath) fn receive(
         &mut self,
         socket: BorrowedFd<'_>,
@@ -177,20 +180,20 @@ impl<K: Kernel> Batch<K> {
         }
         let messages = messages.as_mut_ptr();
         // SAFETY: `most` messages were just pointed at as many slots, and told how long these are;
-        // nothing else uses them before the call is back.
+        // nothing else uses them before the call has returned.
         let received = uninterrupted(|| unsafe { self.kernel.recvmmsg(socket, messages, most) })?;
         Ok(received.min(most))
     }
 
-    /// The same for one datagram.
+    /// Receives like `receive_many`, but one datagram.
     fn receive_one(&mut self, socket: BorrowedFd<'_>) -> nix::Result<usize> {
         let octets = self.octets[self.used].0.as_mut_ptr().cast();
         let name = self.names[self.used].as_mut_ptr();
         let mut name_len = Name::CAPACITY;
         let len = uninterrupted(|| {
             let name_len = ptr::from_mut(&mut name_len);
-            // SAFETY: octets and name are one slot's, as long as is said; nothing else uses them
-            // before the call is back.
+            // SAFETY: octets and name belong to one slot and are as long as is said; nothing else
+            // uses them before the call has returned.
             unsafe { self.kernel.recvfrom(socket, octets, SLOT, name, name_len) }
         })?;
         let message = &mut self.incoming[0];
@@ -200,8 +203,8 @@ impl<K: Kernel> Batch<K> {
         Ok(1)
     }
 
-    /// The datagram at `index` among those of the last [`receive`](Self::receive); none when its
-    /// sender's address is of no known family.
+    /// The datagram at `index` among those of the last [`receive`](Self::receive). There is none
+    /// when its sender's address is of no known family.
     #[inline]
     pub(in crate::datapath) fn incoming(&mut self, index: usize) -> Option<Incoming<'_>> {
         let (slot, header) = (self.used + index, &self.incoming[index]);
@@ -220,7 +223,7 @@ impl<K: Kernel> Batch<K> {
     }
 }
 
-/// The outcome of a system call, made again for as long as signals interrupt it.
+/// Makes a system call again as long as signals interrupt it, and returns its outcome.
 #[inline]
 fn uninterrupted(mut call: impl FnMut() -> nix::Result<usize>) -> nix::Result<usize> {
     loop {

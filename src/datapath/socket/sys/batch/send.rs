@@ -1,4 +1,4 @@
-//! The way out of a batch.
+//! Sends the datagrams of a batch.
 
 use std::io;
 use std::iter;
@@ -14,8 +14,8 @@ use super::calls::Kernel;
 use super::{Batch, Outgoing, SEGMENTS, SLOT, Tag, uninterrupted};
 
 impl<K: Kernel> Batch<K> {
-    /// Queues the datagram in `slot` for sending on the socket `key`; from the address `from`, when
-    /// the socket has not one of its own.
+    /// Queues the datagram in `slot` for sending on the socket `key`. When the socket has no
+    /// address of its own, the datagram leaves from the address `from`.
     pub(in crate::datapath) fn queue(
         &mut self,
         slot: usize,
@@ -30,16 +30,16 @@ impl<K: Kernel> Batch<K> {
         self.queue.push(Outgoing { key, peer: peer(to), slot, name_len, control_len, tag });
     }
 
-    /// Sends all that is queued, a system call a socket where the kernel takes all at once, and
-    /// reports each outcome. Datagrams from one socket to one receiver leave in the order they were
-    /// queued.
+    /// Sends all that is queued, and reports the outcome of each datagram. Each socket takes one
+    /// system call, when the kernel takes all of its datagrams at once. Datagrams from one socket
+    /// to one receiver leave in the order in which they were queued.
     pub(in crate::datapath) fn flush<'s>(
         &mut self,
         socket: impl Fn(u64) -> Option<BorrowedFd<'s>>,
         mut outcome: impl FnMut(Tag, io::Result<()>),
     ) {
         let mut queue = mem::take(&mut self.queue);
-        // Slots only grow until the flush, so they keep the order.
+        // Slot numbers only grow until the flush, so sorting by slot keeps the order.
         queue.sort_unstable_by_key(|outgoing| (outgoing.key, outgoing.peer, outgoing.slot));
         for run in queue.chunk_by(|a, b| a.key == b.key) {
             match socket(run[0].key) {
@@ -75,11 +75,11 @@ impl<K: Kernel> Batch<K> {
             if let Err(error) = sent
                 && segments(&tried[0]) > 1
             {
-                // Perhaps the way to this receiver knows no segments, perhaps the system is short
-                // of memory: each datagram has its own chance, and so have those behind it.
+                // Perhaps the way to this receiver cannot take segments, or the system is short of
+                // memory. So each datagram is tried alone, and so are those behind it.
                 self.segments = false;
                 self.send(socket, run, outcome);
-                self.segments = error != Errno::EIO; // no checksums on some way out
+                self.segments = error != Errno::EIO; // EIO: some way out has no checksums
                 return;
             }
             next += tried.len();
@@ -94,7 +94,7 @@ impl<K: Kernel> Batch<K> {
         }
     }
 
-    /// Sends as many of these messages as the kernel takes; the error is the first one's.
+    /// Sends as many of these messages as the kernel takes. An error is that of the first message.
     fn send_some(&mut self, socket: BorrowedFd<'_>, messages: Range<usize>) -> nix::Result<usize> {
         let messages = &mut self.headers[messages];
         let (count, messages) = (messages.len(), messages.as_mut_ptr());
@@ -106,13 +106,14 @@ impl<K: Kernel> Batch<K> {
         }
     }
 
-    /// Sends a datagram that is alone, and about which there is no more to say than where it goes.
+    /// Sends a single datagram that needs nothing but its destination.
     fn send_one(&mut self, socket: BorrowedFd<'_>, alone: &Outgoing) -> nix::Result<()> {
         let octets = self.octets[alone.slot].0.as_ptr().cast();
         let name = self.names[alone.slot].as_ptr();
         let len = alone.tag.octets;
         let sent = uninterrupted(|| {
-            // SAFETY: octets and name are one slot's, which holds as many: `queue` has seen to it.
+            // SAFETY: octets and name belong to one slot, which holds as many octets: `queue` has
+            // checked that.
             unsafe { self.kernel.sendto(socket, octets, len, name, alone.name_len) }
         })?;
         whole(sent, slice::from_ref(alone))
@@ -149,8 +150,8 @@ impl<K: Kernel> Batch<K> {
         messages
     }
 
-    /// Points these messages at their datagrams. Whatever the pointers lead to is borrowed once for
-    /// all of them: to borrow it again would take the right to it from those made before.
+    /// Points these messages at their datagrams. Each buffer behind the pointers is borrowed once
+    /// for all messages: another borrow would invalidate the pointers that were made before it.
     fn point(&mut self, mut run: &[Outgoing], messages: usize) {
         let octets = self.octets.as_mut_ptr();
         let names = self.names.as_mut_ptr();
@@ -172,8 +173,8 @@ impl<K: Kernel> Batch<K> {
         }
     }
 
-    /// Whether a datagram can be the next segment of a message: all are of one length, but for the
-    /// last, which may be shorter. An empty one would vanish.
+    /// Whether a datagram can be the next segment of a message. All segments have one length,
+    /// except the last one, which may be shorter. An empty segment would vanish.
     fn continues(&self, message: &[Outgoing], next: &Outgoing) -> bool {
         let (Some(first), Some(last)) = (message.first(), message.last()) else { return false };
         let name = |of: &Outgoing| self.names[of.slot].address(of.name_len);
@@ -188,12 +189,12 @@ impl<K: Kernel> Batch<K> {
     }
 }
 
-/// Datagrams that a message carries. The C libraries disagree on the type.
+/// Number of datagrams that a message carries. The C libraries disagree on the type.
 pub(super) fn segments(message: &libc::mmsghdr) -> usize {
     message.msg_hdr.msg_iovlen as _
 }
 
-/// A number for a receiver, which strangers to each other hardly ever share.
+/// A number for a receiver. Two different receivers hardly ever have the same number.
 fn peer(address: SocketAddr) -> u64 {
     let ip = match address.ip() {
         IpAddr::V4(address) => address.to_bits().into(),
@@ -205,7 +206,7 @@ fn peer(address: SocketAddr) -> u64 {
     ip.rotate_left(16) ^ u64::from(address.port())
 }
 
-/// Whether so many octets are these datagrams' as a whole.
+/// Fails when the number of octets sent is not that of these datagrams as a whole.
 fn whole(sent: usize, datagrams: &[Outgoing]) -> nix::Result<()> {
     let octets: usize = datagrams.iter().map(|datagram| datagram.tag.octets).sum();
     if sent == octets { Ok(()) } else { Err(Errno::EMSGSIZE) }

@@ -1,4 +1,4 @@
-//! Batches on sockets of the real kernel.
+//! Tests batches on sockets of the real kernel.
 
 use std::net::UdpSocket;
 use std::os::fd::AsFd;
@@ -17,7 +17,7 @@ fn receiver(address: &str) -> UdpSocket {
     socket
 }
 
-/// Queues datagrams of these lengths; each octet tells its datagram's number.
+/// Queues datagrams of these lengths. Each octet holds the number of its datagram.
 fn queue(batch: &mut Batch, key: u64, lengths: &[u8], from: Option<IpAddr>, to: SocketAddr) {
     for (number, &len) in (0..).zip(lengths) {
         let octets = usize::from(len);
@@ -27,7 +27,7 @@ fn queue(batch: &mut Batch, key: u64, lengths: &[u8], from: Option<IpAddr>, to: 
     }
 }
 
-/// Sends what is queued and returns how many datagrams the system took, and how many not.
+/// Sends what is queued. Returns how many datagrams the system took and how many it refused.
 fn flush(batch: &mut Batch, socket: &UdpSocket) -> (usize, usize) {
     let (mut taken, mut refused) = (0, 0);
     batch.flush(
@@ -73,7 +73,8 @@ fn bursts_arrive_as_they_were_queued() {
     }
 }
 
-/// However many are asked for, and whether or not the socket tells where they were sent to.
+/// The result is the same however many datagrams are asked for, and whether or not the socket tells
+/// their destination.
 #[test]
 fn what_is_received_is_told_alike() {
     for (bound, address, tells) in [
