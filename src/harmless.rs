@@ -1,12 +1,13 @@
-//! Text from outside, made harmless before a terminal gets it: what another server answers, a name or
-//! an error may hold escape sequences, line breaks, or marks that turn the order of letters around.
+//! Makes text from outside harmless before a terminal shows it. An answer of another server, a name
+//! or an error may contain escape sequences, line breaks, or marks that reverse the order of
+//! letters.
 
 use std::fmt::Write;
 
 #[cfg(feature = "cli")]
 use serde_json::Value;
 
-/// Whether a character does something to a terminal, or to how the others are read.
+/// Whether a character controls a terminal or changes how other characters are read.
 pub(crate) fn is_harmful(c: char) -> bool {
     c.is_control()
         || matches!(
@@ -23,7 +24,7 @@ pub(crate) fn is_harmful(c: char) -> bool {
         )
 }
 
-/// The text with each such character written out, as `\u{1b}`.
+/// The text with each harmful character escaped, as in `\u{1b}`.
 pub(crate) fn harmless(text: &str) -> String {
     let mut harmless = String::with_capacity(text.len());
     for c in text.chars() {
@@ -36,12 +37,12 @@ pub(crate) fn harmless(text: &str) -> String {
     harmless
 }
 
-/// The same of a text of several lines.
+/// The same for a text of several lines. The line breaks stay.
 pub(crate) fn harmless_lines(text: &str) -> String {
     text.split('\n').map(harmless).collect::<Vec<_>>().join("\n")
 }
 
-/// The same of all names and texts in a value.
+/// The same for all names and texts in a JSON value.
 #[cfg(feature = "cli")]
 pub(crate) fn harmless_value(value: Value) -> Value {
     match value {
@@ -54,7 +55,7 @@ pub(crate) fn harmless_value(value: Value) -> Value {
     }
 }
 
-/// JSON that says the same, with such characters in JSON's own writing.
+/// JSON with the same meaning, in which harmful characters are escaped as JSON does it.
 pub(crate) fn harmless_json(json: &str) -> String {
     let mut harmless = String::with_capacity(json.len());
     for c in json.chars() {

@@ -1,6 +1,7 @@
-//! Why the system does not give a socket to listen on: which call failed, and what to do about it.
+//! Why the system refuses a socket to listen on: which call failed, and what to do about it.
 //!
-//! Told by who asks: some of it passes by itself, and is worth another try.
+//! The caller reports the error. Some errors pass by themselves, so the caller may want to try
+//! again.
 
 use std::fmt::{self, Display, Formatter};
 use std::fs;
@@ -12,17 +13,18 @@ use nix::errno::Errno;
 use socket2::{Domain, Protocol, Socket, Type};
 use tokio::net::UdpSocket;
 
-/// Connections that wait to be accepted, at most; the kernel has a bound of its own, net.core.somaxconn.
+/// The largest number of connections that wait to be accepted. The kernel also has a limit,
+/// `net.core.somaxconn`.
 const BACKLOG: i32 = 1024;
 
-/// Ports from here on need no capability (`sysctl net.ipv4.ip_unprivileged_port_start`). Read once:
-/// a confined process cannot look it up.
+/// The first port that needs no capability (`sysctl net.ipv4.ip_unprivileged_port_start`). It is
+/// read once, because a confined process cannot read it.
 static UNPRIVILEGED_PORTS: LazyLock<u16> = LazyLock::new(|| {
     let text = fs::read_to_string("/proc/sys/net/ipv4/ip_unprivileged_port_start");
     text.ok().and_then(|text| text.trim().parse().ok()).unwrap_or(1024)
 });
 
-/// A call that failed.
+/// A system call that failed, with its error.
 #[derive(Debug, thiserror::Error)]
 #[error("{call}: {error}")]
 pub(crate) struct CallError {
@@ -31,7 +33,7 @@ pub(crate) struct CallError {
 }
 
 impl CallError {
-    /// For `map_err`: the error of this call.
+    /// For `map_err`: adds the name of the call to its error.
     pub(crate) fn of<E: Into<io::Error>>(call: &'static str) -> impl Fn(E) -> Self {
         move |error| Self { call, error: error.into() }
     }
@@ -43,12 +45,12 @@ impl From<CallError> for io::Error {
     }
 }
 
-/// A socket that cannot be had.
+/// A socket that cannot be opened.
 #[derive(Debug, thiserror::Error)]
 pub struct ListenError {
     protocol: &'static str,
     address: SocketAddr,
-    /// Where the address comes from, as its user knows it.
+    /// The setting that the address comes from, under the name that the user knows.
     setting: &'static str,
     obstacle: Obstacle,
 }
@@ -57,18 +59,19 @@ pub struct ListenError {
 enum Obstacle {
     InUse,
     NotOurs,
-    /// The kernel still asks whether another machine has the address.
+    /// The kernel still checks whether another machine has the address.
     Tentative,
-    /// Another machine has it.
+    /// Another machine has the address.
     Duplicate,
-    /// The first port that needs no capability.
+    /// Only a process with a capability may use the port. The number is the first port that needs
+    /// none.
     Privileged(u16),
     OutOfDescriptors,
     Other(CallError),
 }
 
 impl ListenError {
-    /// What a call for a socket of this protocol on this address has failed with.
+    /// The error of a call that failed, for a socket of this protocol on this address.
     pub(crate) fn new(
         protocol: &'static str,
         address: SocketAddr,
@@ -89,12 +92,12 @@ impl ListenError {
         Self { protocol, address, setting, obstacle }
     }
 
-    /// Whether another socket has the port.
+    /// Whether another socket uses the port.
     pub fn is_in_use(&self) -> bool {
         matches!(self.obstacle, Obstacle::InUse)
     }
 
-    /// Whether it may pass by itself, so that another try may succeed.
+    /// Whether the obstacle may pass by itself, so that another try may succeed.
     pub fn may_pass(&self) -> bool {
         match &self.obstacle {
             Obstacle::Privileged(_) | Obstacle::OutOfDescriptors => false,
@@ -103,14 +106,14 @@ impl ListenError {
         }
     }
 
-    /// Whether it passes within seconds.
+    /// Whether the obstacle passes within seconds.
     pub fn passes_soon(&self) -> bool {
         matches!(self.obstacle, Obstacle::Tentative)
     }
 }
 
 impl ListenError {
-    /// The same for another port, where the address as a whole cannot be bound.
+    /// The same error for another port, if the address cannot be bound at any port.
     #[cfg(feature = "relay")]
     pub(crate) fn at(&self, address: SocketAddr) -> Option<Self> {
         let obstacle = match self.obstacle {
@@ -123,7 +126,7 @@ impl ListenError {
         Some(Self { protocol, address, setting, obstacle })
     }
 
-    /// What is in the way and what to do about it, without the address.
+    /// What the obstacle is and what to do about it, without the address.
     pub(crate) fn why(&self) -> String {
         match &self.obstacle {
             Obstacle::InUse => {
@@ -170,8 +173,8 @@ impl Display for ListenError {
     }
 }
 
-/// Whether an error of the system may pass by itself: what is short may be there again, who is in
-/// the way may go.
+/// Whether an error of the system may pass by itself. A resource that ran out may become available
+/// again, and a socket or an address that is in the way may go.
 pub fn may_pass(error: &io::Error) -> bool {
     let short = [Errno::ENFILE, Errno::ENOMEM, Errno::ENOBUFS, Errno::EAGAIN, Errno::ENOSPC];
     let in_the_way = [Errno::EADDRINUSE, Errno::EADDRNOTAVAIL, Errno::EINTR];
@@ -179,7 +182,7 @@ pub fn may_pass(error: &io::Error) -> bool {
     errno.is_some_and(|errno| short.contains(&errno) || in_the_way.contains(&errno))
 }
 
-/// An error and what caused it.
+/// An error followed by its causes, as one text.
 #[cfg(feature = "relay")]
 pub(crate) fn chain(error: &dyn std::error::Error) -> String {
     match error.source() {
@@ -188,13 +191,14 @@ pub(crate) fn chain(error: &dyn std::error::Error) -> String {
     }
 }
 
-/// Looks up what only an unconfined process can read.
+/// Reads in advance what a confined process cannot read.
 #[cfg(feature = "relay")]
 pub(crate) fn look_up() {
     LazyLock::force(&UNPRIVILEGED_PORTS);
 }
 
-/// A UDP socket on this address, which `setting` names, for the async runtime.
+/// Opens a UDP socket for the async runtime. `setting` names the setting that the address comes
+/// from.
 pub fn udp(address: SocketAddr, setting: &'static str) -> Result<UdpSocket, ListenError> {
     let open = || {
         let socket = open(address, Type::DGRAM, Protocol::UDP)?;
@@ -204,11 +208,11 @@ pub fn udp(address: SocketAddr, setting: &'static str) -> Result<UdpSocket, List
     open().map_err(|failed| ListenError::new("UDP", address, setting, failed))
 }
 
-/// A TCP listener on this address, which `setting` names. It never blocks.
+/// Opens a TCP listener that never blocks. `setting` names the setting that the address comes from.
 pub fn tcp(address: SocketAddr, setting: &'static str) -> Result<TcpListener, ListenError> {
     let open = || {
         let socket = open(address, Type::STREAM, Protocol::TCP)?;
-        // What is left of old connections is no hindrance.
+        // Old connections to this port do not prevent the bind.
         socket.set_reuse_address(true).map_err(CallError::of("setsockopt SO_REUSEADDR"))?;
         socket.bind(&address.into()).map_err(CallError::of("bind"))?;
         socket.listen(BACKLOG).map_err(CallError::of("listen"))?;
@@ -222,16 +226,16 @@ fn open(address: SocketAddr, kind: Type, protocol: Protocol) -> Result<Socket, C
     socket.map_err(CallError::of("socket"))
 }
 
-/// Why an address cannot be bound that the kernel says is not there.
+/// Why an address cannot be bound that the kernel reports as not available.
 fn not_available(ip: IpAddr) -> Obstacle {
     let IpAddr::V6(ip) = ip else { return Obstacle::NotOurs };
-    // Through /proc/self, which a confined process can read.
+    // The path is below /proc/self, because a confined process can read that.
     let list = fs::read_to_string("/proc/self/net/if_inet6").unwrap_or_default();
     state_of(ip, &list)
 }
 
-/// What the kernel's list of IPv6 addresses says of one: a line for each, its flags in the fifth
-/// column.
+/// The state of one address in the kernel's list of IPv6 addresses. The list has a line for each
+/// address, with its flags in the fifth column.
 fn state_of(ip: Ipv6Addr, list: &str) -> Obstacle {
     const DAD_FAILED: u8 = 0x08;
     const TENTATIVE: u8 = 0x40;
@@ -294,7 +298,7 @@ mod tests {
         assert!(!wants(first, "bind", Errno::EACCES));
     }
 
-    /// One that comes when no more may wait is heard again a second later.
+    /// A connection that finds the backlog full is tried again only a second later.
     #[test]
     fn many_may_connect_at_a_time() {
         let listener = tcp((Ipv4Addr::LOCALHOST, 0).into(), "[admin] listen").unwrap();
@@ -337,7 +341,7 @@ mod tests {
         assert!(state("2001:db8:1::1").contains("is tentative"));
         assert!(state("2001:db8:1::2").contains("another machine on the link has it (dadfailed)"));
         assert!(state("2001:db8:1::4").contains("is no address of this host"));
-        // One that is there now may not have been so when it was bound.
+        // An address that is usable now may not have been there when it was bound.
         assert!(state("2001:db8:1::3").contains("is no address of this host"));
     }
 }

@@ -1,9 +1,9 @@
-//! The configuration file, read again for a router at work: brought into force or refused, and told
-//! of either way. One reload at a time.
+//! Reads the configuration file again while the relay runs. The new configuration comes into force
+//! or is refused. Either way the log says so. Only one reload runs at a time.
 //!
-//! Files are read by a thread that does nothing else, for they may be on a disk that is stuck. Then
-//! the reload is given up after a while and never comes into force: later ones are refused until the
-//! thread is back.
+//! A thread that does nothing else reads the files, because they may be on a disk that is stuck.
+//! Then the reload is given up after a while, and its configuration never comes into force. Later
+//! reloads are refused until the thread has finished reading.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -22,31 +22,31 @@ use crate::logging::{list, log_faults};
 use crate::service;
 use crate::thread::{self, ThreadError};
 
-/// How long reading the files of a configuration may take.
+/// The longest time that reading the files of a configuration may take.
 const READING_TIME: Duration = Duration::from_secs(30);
 
-/// What is told where the faults themselves stand beside it.
+/// The message where the faults themselves are listed next to it.
 const NOT_SOUND: &str = "the configuration is not sound";
 
-/// Faults that are kept for who asks how the last reload went.
+/// How many faults are kept for the status of the last reload.
 const MOST_FAULTS: usize = 100;
 
-/// How often sockets that could not be had are tried again.
+/// How often the relay tries again to open sockets that it could not open before.
 const RETRY_INTERVAL: Duration = Duration::from_secs(1);
 
 /// Why another configuration did not come into force.
 #[derive(Debug, thiserror::Error)]
 enum ReloadError {
-    /// It is not sound.
+    /// The configuration has faults.
     #[error(transparent)]
     Faults(#[from] Faults),
-    /// Its files are not to be had.
+    /// The files of the configuration cannot be read in time.
     #[error(
         "reading the configuration takes longer than {} s; is a disk or a network share stuck? The \
          configuration in force stays", .0.as_secs()
     )]
     TooSlow(Duration),
-    /// Nor are those of an earlier reload, which have to come first.
+    /// The files of an earlier reload are still being read, and that read has to finish first.
     #[error(
         "an earlier reload still reads its files; is a disk or a network share stuck? The \
          configuration in force stays"
@@ -56,30 +56,30 @@ enum ReloadError {
     Stopping(#[from] Stopping),
 }
 
-/// A router and the file that its configuration is in.
+/// A router, and access to the thread that reads the configuration file for it.
 #[derive(Clone, Debug)]
 pub struct Reloader {
     router: Arc<Router>,
-    /// Held by the one reload at a time.
+    /// Sends orders to the thread. A reload holds the lock, so that only one runs at a time.
     thread: Arc<Mutex<mpsc::Sender<Order>>>,
-    /// The thread reads for a reload that was given up.
+    /// The thread is reading for a reload that was given up.
     is_stuck: Arc<AtomicBool>,
-    /// How long reading may take.
+    /// The longest time that reading may take.
     reading_time: Duration,
 }
 
-/// What the thread does.
+/// An order to the thread.
 enum Order {
     Read(oneshot::Sender<Read>),
-    /// Bring it into force.
+    /// Bring this configuration into force.
     Apply(Box<Config>, oneshot::Sender<Result<Reloaded, Stopping>>),
 }
 
-/// What is read.
+/// The result of reading the files: a configuration with warnings, or all faults.
 type Read = Result<(Config, Vec<Warning>), Faults>;
 
 impl Reloader {
-    /// Reads the file at `path` for `router`, whenever it is told to.
+    /// Starts the thread. Each reload for `router` then reads the file at `path`.
     pub fn start(path: PathBuf, router: Arc<Router>) -> Result<Self, ThreadError> {
         let of = Arc::clone(&router);
         let read = move || config::load_again(&path, &of.in_force().config.table);
@@ -98,8 +98,9 @@ impl Reloader {
         Ok(Self { router, thread: Arc::new(Mutex::new(thread)), is_stuck, reading_time })
     }
 
-    /// Reads the file and the password files that it names, and brings them into force; or tells
-    /// every fault, and the configuration in force stays. Goes on to its end even when nobody waits.
+    /// Reads the file and the password files that it names, and brings the new configuration into
+    /// force. If there are faults, reports all of them and leaves the configuration in force as it
+    /// is. The reload continues to its end even when nobody waits for it.
     pub async fn reload(&self) -> Result<Reloaded, String> {
         let reloader = self.clone();
         let reload = tokio::spawn(async move {
@@ -125,14 +126,15 @@ impl Reloader {
             return Err(ReloadError::StillReading);
         }
         let (reply, mut read) = oneshot::channel();
-        // A thread that is gone drops the reply.
+        // If the thread has ended, it drops the reply.
         let _ = thread.send(Order::Read(reply));
         let read = match timeout(self.reading_time, &mut read).await {
             Ok(read) => read.map_err(|_| Stopping)?,
             Err(_) => {
                 self.is_stuck.store(true, SeqCst);
                 read.close();
-                // From here on the thread learns that nobody waits; it may have been just in time.
+                // From now on, the thread's reply fails, so the thread learns that nobody waits.
+                // But its reply may have arrived just before.
                 let in_time =
                     read.try_recv().map_err(|_| ReloadError::TooSlow(self.reading_time))?;
                 self.is_stuck.store(false, SeqCst);
@@ -151,7 +153,7 @@ async fn apply(thread: &mpsc::Sender<Order>, config: Config) -> Result<Reloaded,
     Ok(applied.await.unwrap_or(Err(Stopping))?)
 }
 
-/// What the thread does, until the process ends.
+/// The loop of the thread. It ends with the process.
 fn obey(
     orders: &mpsc::Receiver<Order>,
     mut read: impl FnMut() -> Read,
@@ -184,7 +186,7 @@ fn obey(
                     );
                 }
             }
-            // What came of it is in force, whether or not somebody waits.
+            // The new configuration is in force, whether or not somebody waits for the result.
             Order::Apply(config, reply) => _ = reply.send(router.reload(*config)),
         }
     }
@@ -253,11 +255,12 @@ mod tests {
     use super::*;
     use crate::config::fixture::config;
 
-    /// How long anything may take that takes no time.
+    /// How long a step may take that should take no time.
     const PATIENCE: Duration = Duration::from_secs(20);
 
-    /// A reload whose files are on a disk that is stuck is given up, and never comes into force; those
-    /// after it are refused without another look, until the disk is back.
+    /// When the files are on a disk that is stuck, the reload is given up and its configuration
+    /// never comes into force. Later reloads are refused without touching the disk, until the disk
+    /// works again.
     #[tokio::test]
     async fn a_disk_that_is_stuck() {
         let router = Router::idle(config(), 1);
@@ -288,7 +291,7 @@ mod tests {
         drop(disk);
         let unsound = ReloadError::Faults(Faults(Vec::new())).to_string();
         let end = std::time::Instant::now() + PATIENCE;
-        // The machine may be slower than the time that reading may take.
+        // The machine may be slow, so the next reload may also exceed its reading time.
         while fails_with().await != unsound {
             assert!(std::time::Instant::now() < end, "later reloads are read again");
         }

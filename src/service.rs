@@ -1,5 +1,5 @@
-//! What the service manager hears of a running relay, where there is one that listens (systemd's
-//! sd_notify protocol, `$NOTIFY_SOCKET`).
+//! What a running relay tells the service manager, if there is one that listens. It uses systemd's
+//! sd_notify protocol (`$NOTIFY_SOCKET`).
 
 use std::env;
 use std::ffi::OsStr;
@@ -18,30 +18,32 @@ use crate::datapath::Router;
 
 const NOT_HEARD: &str = "the service manager cannot be told";
 
-/// How often it is told of at most that the manager does not hear.
+/// The shortest time between two warnings that the manager cannot be told.
 const COMPLAINT_INTERVAL: Duration = Duration::from_secs(600);
 
-/// It relays, with the configuration in force.
+/// Tells the manager that the relay works, with the configuration in force.
 pub fn ready(router: &Router) {
     notify(&[NotifyState::Ready, NotifyState::Status(&status(router))]);
 }
 
-/// It reads its configuration again. [`ready`] says that it is done, however it went.
+/// Tells the manager that the relay reads its configuration again. [`ready`] ends this state,
+/// whether the reload succeeded or failed.
 pub fn reloading() {
-    // A manager that wants the time takes the message only with it.
+    // Some managers accept this message only with the time in it.
     let Ok(now) = NotifyState::monotonic_usec_now() else { return };
     notify(&[NotifyState::Reloading, now, NotifyState::Status("reading the configuration again")]);
 }
 
-/// It takes no more requests.
+/// Tells the manager that the relay takes no more requests.
 pub fn stopping() {
     notify(&[NotifyState::Stopping, NotifyState::Status("waiting for answers that are due")]);
 }
 
-/// Pings the manager's watchdog, if it has one, for as long as every worker answers.
+/// Pings the manager's watchdog, if it has one, as long as every worker answers.
 pub async fn watchdog(router: Arc<Router>) -> ! {
     let Some(patience) = sd_notify::watchdog_enabled() else { future::pending().await };
-    // Its own margin: half to ping in, of which the workers get half to answer in.
+    // This leaves a margin. The relay pings in half of the time that the manager allows. The
+    // workers have half of that to answer.
     let (interval, within) = (patience / 2, patience / 4);
     let mut next = time::interval(interval.max(Duration::from_millis(1)));
     next.set_missed_tick_behavior(time::MissedTickBehavior::Delay);
@@ -67,19 +69,20 @@ fn status(router: &Router) -> String {
     format!("{kept}relaying; nets: {}, public ports: {}", nets.len(), mappings.len())
 }
 
-/// The manager's socket.
+/// The connection to the manager.
 #[derive(Debug)]
 struct Manager {
     socket: UnixDatagram,
     address: SocketAddr,
-    /// When it was last told of that the manager does not hear.
+    /// When the log last warned that the manager cannot be told.
     complained: Mutex<Option<Instant>>,
 }
 
 static MANAGER: OnceLock<Manager> = OnceLock::new();
 
-/// Finds the manager, if there is one. Before the confinement, which lets nobody connect to a socket
-/// with an abstract name any more, but those that are connected go on.
+/// Connects to the manager, if there is one. Must be called before the confinement: after it, no
+/// socket can be connected to one with an abstract name. A socket that is connected already keeps
+/// working.
 pub fn connect() {
     let Some(name) = env::var_os("NOTIFY_SOCKET") else { return };
     match Manager::connected(&name) {
@@ -102,7 +105,7 @@ impl Manager {
     }
 
     fn send(&self, message: &[u8]) -> io::Result<usize> {
-        // One that was started anew has another socket of the same name.
+        // A manager that was restarted has a new socket of the same name.
         let again =
             |_| self.socket.connect_addr(&self.address).and_then(|()| self.socket.send(message));
         self.socket.send(message).or_else(again)

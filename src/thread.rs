@@ -1,10 +1,10 @@
-//! Threads. Every one is started before the relay says that it relays: from then on nothing it does
-//! needs another one, so a system that has no more of them is not its concern.
+//! Threads. The relay starts all of its threads before it reports that it is ready. After that it
+//! needs no further thread, so a system that has run out of threads does not affect it.
 
 use std::io;
 use std::thread::Builder;
 
-/// The system has no thread left.
+/// The system cannot start another thread.
 #[derive(Debug, thiserror::Error)]
 #[error(
     "cannot start the thread {name:?}; raise the limit of threads (ulimit -u, TasksMax=, \
@@ -15,7 +15,8 @@ pub struct ThreadError {
     source: io::Error,
 }
 
-/// Starts a thread that ends with the process at the latest. It may do what the calling one may.
+/// Starts a thread that ends with the process at the latest. The thread has the same privileges as
+/// the thread that starts it.
 pub(crate) fn start(
     name: impl Into<String>,
     work: impl FnOnce() + Send + 'static,

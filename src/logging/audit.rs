@@ -1,8 +1,9 @@
-//! The audit log: who used the relay and who was refused for guessing, one event a line.
+//! The audit log: who used the relay, and who was refused after too many wrong passwords. Each
+//! event is one line.
 //!
-//! The messages are the names of the events and stay the same (`docs/log.md`). A window of
-//! the log holds a limited number of lines of each; how many more there would have been is told at
-//! its end, so that nobody fills the disk and no count is lost.
+//! The messages are the names of the events, and these never change (`docs/log.md`). In each
+//! window, the log takes a limited number of lines of each event. At the end of the window, a line
+//! says how many more there would have been. So nobody can fill the disk, and no count is lost.
 
 use std::array;
 use std::net::IpAddr;
@@ -13,22 +14,24 @@ use strum::VariantArray;
 
 use crate::nat::{CloseReason, FlowRecord, MappingId, Table, ThrottleScope, Throttled};
 
-/// What the workers write, and how much more they may. Shared by all of them.
+/// Writes the lines of all workers, and knows how many more lines it may write. The workers share
+/// it.
 #[derive(Debug)]
 pub(crate) struct Audit {
     of_event: [Allowance; Event::VARIANTS.len()],
     left_out: AtomicU64,
 }
 
-/// Lines of one kind of event in this window.
+/// How many lines of one event this window still has room for, and how many were left out.
 #[derive(Debug)]
 struct Allowance {
     left: AtomicU32,
     left_out: AtomicU64,
 }
 
-/// The events that clients and strangers bring about. Those of addresses are apart from those of
-/// senders: an address is throttled after hundreds of its ports are, and has to be told of.
+/// The events that clients and strangers cause. Throttling of an address is a different event from
+/// throttling of a sender: hundreds of an address's ports are throttled before the address is, and
+/// the line about the address must not be left out because of them.
 #[derive(Clone, Copy, VariantArray)]
 enum Event {
     FlowOpened,
@@ -40,18 +43,19 @@ enum Event {
 }
 
 impl Audit {
-    /// So many lines of each kind in the first window.
+    /// Allows this many lines of each event in the first window.
     pub(crate) fn new(lines: u32) -> Self {
         let allowance = |_| Allowance { left: AtomicU32::new(lines), left_out: AtomicU64::new(0) };
         Self { of_event: array::from_fn(allowance), left_out: AtomicU64::new(0) }
     }
 
-    /// Lines of all kinds that were left out since the start.
+    /// The lines of all events that were left out since the start.
     pub(crate) fn left_out(&self) -> u64 {
         self.left_out.load(Relaxed)
     }
 
-    /// Ends the window: tells what was left out of it, and allows so many lines in the next one.
+    /// Ends the window: reports how many lines were left out, and allows `lines` of each event in
+    /// the next window.
     pub(crate) fn end_window(&self, lines: u32, window: Duration) {
         for &event in Event::VARIANTS {
             let allowance = &self.of_event[event as usize];
@@ -64,21 +68,21 @@ impl Audit {
         }
     }
 
-    /// N-10: who, by which public port, and by which credential.
+    /// Writes who opened a flow, through which public port, and with which credential (N-10).
     pub(crate) fn flow_opened(&self, table: &Table, flow: &FlowRecord) {
         if self.may_write(Event::FlowOpened) {
             write_flow(table, flow, Event::FlowOpened, None);
         }
     }
 
-    /// N-10: the same, with why and since when.
+    /// Writes the same when a flow ends, with the close reason and the flow's age (N-10).
     pub(crate) fn flow_closed(&self, table: &Table, flow: &FlowRecord, reason: CloseReason) {
         if self.may_write(Event::FlowClosed) {
             write_flow(table, flow, Event::FlowClosed, Some(reason));
         }
     }
 
-    /// Who is refused from here on, and where he was refused first.
+    /// Writes who is refused from now on, and the node at which the first refusal happened.
     pub(crate) fn throttling_begun(
         &self,
         table: &Table,
@@ -103,7 +107,7 @@ impl Audit {
         }
     }
 
-    /// Who is listened to again, and how much was refused.
+    /// Writes who may send again, and how many requests were refused.
     pub(crate) fn throttling_ended(&self, throttled: &Throttled) {
         let event = match throttled.scope {
             ThrottleScope::Sender => Event::SenderThrottlingEnded,
@@ -121,7 +125,7 @@ impl Audit {
         }
     }
 
-    /// Takes one line out of the window's allowance, or counts it as left out.
+    /// Takes one line from the window's allowance. If none is left, counts the line as left out.
     fn may_write(&self, event: Event) -> bool {
         let Allowance { left, left_out } = &self.of_event[event as usize];
         let taken = left.fetch_update(Relaxed, Relaxed, |left| left.checked_sub(1)).is_ok();
@@ -144,7 +148,7 @@ impl Event {
     }
 }
 
-/// `198.51.100.7` or `2001:db8:0:7::/64`.
+/// The address as text: `198.51.100.7` or `2001:db8:0:7::/64`.
 fn address(throttled: &Throttled) -> String {
     let network = throttled.address();
     match network.addr() {

@@ -1,7 +1,8 @@
-//! Lines on their way to stderr, and the thread that writes them.
+//! The queue of log lines on their way to stderr, and the thread that writes them.
 //!
-//! A thread that logs never waits. A line is either written whole or counted as lost. When stderr takes
-//! only a part of a line, the rest is written first as soon as there is room again.
+//! A thread that logs never waits. Each line is either written whole or counted as lost. When
+//! stderr takes only a part of a line, the rest of it is written first as soon as there is room
+//! again.
 
 use std::collections::VecDeque;
 use std::fs::File;
@@ -18,11 +19,12 @@ use nix::unistd::write;
 
 use crate::thread::{self, ThreadError};
 
-/// How many lines wait for a slow stderr; further ones are lost.
+/// How many lines may wait for a slow stderr. Further lines are lost.
 const WAITING_LINES: usize = 16 * 1024;
-/// How often lost lines are reported at most, and when a report that was lost itself is repeated.
+/// The shortest time between two reports of lost lines. A report that was itself lost is repeated
+/// after this time.
 const REPORT_INTERVAL: Duration = Duration::from_secs(5);
-/// How soon a non-blocking stderr is tried again.
+/// How soon the writer tries a non-blocking stderr again.
 const RETRY: Duration = Duration::from_millis(20);
 
 /// The target of the event that reports lost lines.
@@ -48,27 +50,27 @@ pub(super) struct Queue {
 
 struct State {
     waiting: VecDeque<Line>,
-    /// The thread is writing a line that it has taken out.
+    /// The thread has taken a line out of `waiting` and is writing it.
     is_writing: bool,
     writer: Writer,
 }
 
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Writer {
-    /// The thread that logs.
+    /// The thread that logs a line also writes it.
     WhoeverLogs,
-    /// Nobody yet: a thread will be started.
+    /// Nobody writes yet. A thread will be started.
     Nobody,
     Thread,
 }
 
 impl Queue {
-    /// Keeps lines until there is a thread that writes them.
+    /// Keeps all lines until a thread has been started that writes them.
     pub(super) fn wait_for_a_thread(&self) {
         self.lock().writer = Writer::Nobody;
     }
 
-    /// Starts the thread.
+    /// Starts the thread that writes the lines.
     pub(super) fn start_thread(&'static self) -> Result<(), ThreadError> {
         thread::start("log", || self.write_all())?;
         self.lock().writer = Writer::Thread;
@@ -92,8 +94,8 @@ impl Queue {
         }
     }
 
-    /// Waits until all lines are written or lost, but no longer than `time`. Starts the thread if there
-    /// is none yet; if it cannot be started, the caller writes the lines.
+    /// Waits until all lines are written or lost, but no longer than `time`. Starts the thread if
+    /// it does not run yet. If it cannot be started, the caller writes the lines.
     pub(super) fn flush(&'static self, time: Duration) {
         let mut state = self.lock();
         if state.writer == Writer::Nobody && !state.waiting.is_empty() {
@@ -131,7 +133,7 @@ impl Queue {
         }
     }
 
-    /// The next line; none when no line waits and a report is due.
+    /// The next line. `None` when no line waits and a report of lost lines is due.
     fn next(&self, report: Option<Instant>) -> Option<Line> {
         let mut state = self.lock();
         loop {
@@ -160,7 +162,7 @@ impl Queue {
     }
 }
 
-/// Standard error, and the rest of a line that it took only in part.
+/// Standard error, and the rest of a line of which it took only a part.
 #[derive(Default)]
 struct Stderr {
     rest: Vec<u8>,
@@ -169,7 +171,8 @@ struct Stderr {
 }
 
 impl Stderr {
-    /// Writes the rest of the line before, then this line; false when nothing of this one was written.
+    /// Writes the rest of the last line, then this line. Returns false when no octet of this line
+    /// was written.
     fn write(&mut self, line: &[u8]) -> bool {
         let written = write_what_can_be(&self.rest);
         self.rest.drain(..written);
@@ -184,8 +187,8 @@ impl Stderr {
         written > 0
     }
 
-    /// Drops the rest of a line when somebody has emptied the file since, so that the line has lost its
-    /// beginning. Returns whether a rest was dropped.
+    /// Drops the rest of a line when somebody has emptied the log file since. The beginning of that
+    /// line is gone, so the rest is of no use. Returns whether a rest was dropped.
     fn gives_up(&mut self) -> bool {
         let gives_up = !self.rest.is_empty() && length() < self.length;
         if gives_up {
@@ -195,14 +198,14 @@ impl Stderr {
     }
 }
 
-/// The length of the file that standard error is; 0 when it is not a file.
+/// The length of the file that stderr writes to, or 0 when stderr is not a file.
 fn length() -> u64 {
     let file = io::stderr().as_fd().try_clone_to_owned().map(File::from);
     file.and_then(|file| file.metadata()).map_or(0, |file| file.len())
 }
 
-/// Writes until an error and returns how many octets were written. Does not use the standard library's
-/// stderr, whose lock would be held as long as nobody reads.
+/// Writes until an error occurs and returns how many octets were written. It does not use the
+/// standard library's stderr: the lock of that would be held as long as nobody reads.
 fn write_what_can_be(octets: &[u8]) -> usize {
     let mut written = 0;
     while written < octets.len() {
@@ -217,10 +220,11 @@ fn write_what_can_be(octets: &[u8]) -> usize {
     written
 }
 
-/// One line, or a text of several.
+/// One log line, or a text of several lines.
 pub(super) struct Line {
     octets: Vec<u8>,
-    /// It reports lost lines. When it is lost itself it is not counted: the report is repeated.
+    /// The line reports lost lines. If this line is lost itself, it is not counted: the report is
+    /// repeated.
     is_report: bool,
 }
 

@@ -1,4 +1,4 @@
-//! Lines that the log gets now and then at most.
+//! Warnings that appear in the log only from time to time.
 
 use std::collections::HashMap;
 use std::io;
@@ -6,30 +6,33 @@ use std::time::{Duration, Instant};
 
 use crate::nat::{NetId, Table};
 
-/// How long nothing more is told.
+/// How long the same warning is not written again.
 const INTERVAL: Duration = Duration::from_secs(10);
 
-/// What is told of: each sentence is a fact of its own with each error of the system, and in each net
-/// that it concerns.
+/// What a warning is about: the sentence, the system's error code, and the net that it concerns.
+/// Each combination is a fact of its own.
 type Fact = (&'static str, Option<i32>, Option<NetId>);
 
-/// Errors of the system, each told at most every ten seconds: a broken network is one fact, not a
-/// thousand lines. Nets are those of one table: with another, there have to be new ones.
+/// Warnings about errors of the system. The same warning is written once in ten seconds at most: a
+/// broken network is one fact, and should not fill the log with a thousand lines. The net IDs
+/// belong to one table. With another table, a new value of this type is necessary.
 #[derive(Debug, Default)]
 pub(crate) struct RateLimitedWarnings {
-    /// When each was told last. A sentence has few errors.
+    /// When each warning was written last. The map stays small: only a few errors occur with each
+    /// sentence.
     last: HashMap<Fact, Instant>,
 }
 
 impl RateLimitedWarnings {
-    /// Tells of an error that is no net's, if it was not told of lately.
+    /// Warns of an error that concerns no particular net, unless the same warning was just written.
     pub(crate) fn note(&mut self, error: &io::Error, what: &'static str) {
         if self.is_due(Instant::now(), (what, error.raw_os_error(), None)) {
             tracing::warn!(%error, "{what}");
         }
     }
 
-    /// Tells of an error that concerns a net of this table, likewise.
+    /// Warns of an error that concerns a net of this table, unless the same warning was just
+    /// written.
     pub(crate) fn note_of(
         &mut self,
         net: NetId,
@@ -42,7 +45,7 @@ impl RateLimitedWarnings {
         }
     }
 
-    /// Whether this may be told now.
+    /// Whether a warning with this sentence may be written now.
     pub(crate) fn due(&mut self, now: Instant, what: &'static str) -> bool {
         self.is_due(now, (what, None, None))
     }

@@ -1,4 +1,4 @@
-//! The report of dropped datagrams, which stands for a line of each.
+//! The report of dropped datagrams. It stands in place of one log line for each datagram.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -11,22 +11,22 @@ use crate::datapath::{ActiveConfig, Router};
 use crate::nat::{Direction, DropReason, LastSender, MappingId, NetId, SourceSketch, Table};
 use crate::observe::totals::NodeTotals;
 
-/// Reports dropped datagrams: a line for each net and reason at the end of the first window that has
-/// some, and as long as it goes on one every ten minutes, with the sum. Its windows are those of the
-/// audit log too.
+/// Reports dropped datagrams. Each net and drop reason gets a line at the end of the first window
+/// with drops. While the drops go on, it gets another line every ten minutes, with the sum since
+/// the line before. The audit log uses the same windows.
 #[derive(Debug)]
 pub struct DropReport {
     router: Arc<Router>,
-    /// Dropped up to the end of the last window, by mapping and reason.
+    /// Datagrams dropped up to the end of the last window, by mapping and reason.
     reported: Vec<[u64; DropReason::COUNT]>,
-    /// Whose mappings they are.
+    /// The table that these mappings belong to.
     table: Arc<Table>,
     window_began: Instant,
-    /// By net and reason, what goes on and was told of before.
+    /// The drops that go on, by net and reason. The log has told of each of them before.
     going_on: HashMap<(String, usize), Told>,
 }
 
-/// What happened since the last line.
+/// The drops since the last line.
 #[derive(Debug, Default)]
 struct Told {
     count: u64,
@@ -34,13 +34,13 @@ struct Told {
 }
 
 impl DropReport {
-    /// How long a window is.
+    /// The length of a window.
     pub const WINDOW: Duration = Duration::from_secs(10);
 
-    /// How often a line comes for what goes on. After a pause that long, it is new again.
+    /// How often drops that go on get a line. After a pause of this length, they count as new.
     pub const INTERVAL: Duration = Duration::from_secs(600);
 
-    /// Starts the first window.
+    /// Makes the report and starts its first window.
     pub fn new(router: Arc<Router>) -> Self {
         let in_force = router.in_force();
         let table = Arc::clone(&in_force.config.table);
@@ -59,12 +59,13 @@ impl DropReport {
         }
     }
 
-    /// Reports what the window that has begun holds so far: the last one.
+    /// Reports the window that has begun. It is the last one.
     pub fn report_rest(&mut self) {
         self.report(self.window_began.elapsed(), true);
     }
 
-    /// Ends the window: writes the lines that are due, or of the `last` one all.
+    /// Ends the window and writes the lines that are due. For the `last` window, it writes all
+    /// lines.
     fn report(&mut self, window: Duration, last: bool) {
         self.window_began = Instant::now();
         let in_force = self.router.in_force();
@@ -80,7 +81,7 @@ impl DropReport {
             let before = std::mem::replace(reported, dropped);
             let counts = &mut counts[usize::from(table.mapping(mapping).net.0)];
             for ((count, now), before) in counts.iter_mut().zip(dropped).zip(before) {
-                // A node that was away has begun again.
+                // A smaller count means that the node was away and its counters began again.
                 *count += now.checked_sub(before).unwrap_or(now);
             }
         }
@@ -113,7 +114,7 @@ impl DropReport {
 fn line(in_force: &ActiveConfig, net: NetId, reason: DropReason, count: u64, window: Duration) {
     let sketches = in_force.counters.iter().map(|worker| worker.net(net).sources(reason));
     let estimate = SourceSketch::take_estimate(sketches);
-    // The estimate may be off, but not beyond what is certain.
+    // The sketch only estimates. The true number lies between one source and `count`.
     let sources = u64::from(estimate).clamp(1, count);
     let senders = in_force.counters.iter().map(|worker| worker.net(net).last_sender(reason));
     let last_sender = LastSender::latest(senders);
@@ -134,13 +135,13 @@ fn line(in_force: &ActiveConfig, net: NetId, reason: DropReason, count: u64, win
     );
 }
 
-/// Every reason once.
+/// Every drop reason once.
 fn reasons() -> impl Iterator<Item = DropReason> {
     let request = DropReason::REQUEST.into_iter();
     request.chain(DropReason::RESPONSE.into_iter().filter(|r| !DropReason::REQUEST.contains(r)))
 }
 
-/// Datagrams dropped so far on the way to and from a node, by reason.
+/// The datagrams dropped so far on the way to and from a node, by reason.
 fn dropped(in_force: &ActiveConfig, mapping: MappingId) -> [u64; DropReason::COUNT] {
     let totals = NodeTotals::of_node(&in_force.counters, mapping);
     let mut dropped = [0; DropReason::COUNT];
@@ -152,8 +153,8 @@ fn dropped(in_force: &ActiveConfig, mapping: MappingId) -> [u64; DropReason::COU
     dropped
 }
 
-/// Figures by the mappings of one table, as figures by those of another: nodes by their net and
-/// address.
+/// Carries figures from the mappings of one table over to those of another. A node is found by its
+/// net and node address.
 fn carried_over<T: Copy + Default>(figures: &[T], old: &Table, new: &Table) -> Vec<T> {
     fn nodes(table: &Table) -> impl Iterator<Item = (&str, u8)> {
         let mappings = table.mappings().iter();
@@ -173,7 +174,7 @@ mod tests {
     use crate::config::fixture::{NODE_1, NODE_33, SECTION, config};
     use crate::logging::tests::logged;
 
-    /// The lines that one report writes.
+    /// Writes one report and returns its lines.
     fn report(drops: &mut DropReport) -> Vec<Value> {
         logged(|| drops.report(DropReport::WINDOW, false))
     }
@@ -237,7 +238,7 @@ mod tests {
         assert_eq!(report(&mut drops)[0]["count"], 1, "it is new again");
     }
 
-    /// Nets and nodes may have come, gone, and changed places meanwhile.
+    /// In the meantime, nets and nodes may have come, gone or changed places.
     #[test]
     fn a_window_goes_on_over_a_reload() {
         let router = Router::idle(config(), 1);
@@ -257,7 +258,7 @@ mod tests {
         assert_eq!(lines[0]["count"], 3 + 7, "{}", lines[0]);
     }
 
-    /// Node 33 is away; in its place is one that was not there.
+    /// Node 33 is gone. A node that was not there before has its place.
     fn turned() -> crate::config::Config {
         let mut turned = config();
         let mut mappings = turned.table.mappings().to_vec();

@@ -1,7 +1,8 @@
-//! What is told of a router at work: sums over the workers' counters, metrics, the report of drops.
+//! What the relay reports about its work: sums over the workers' counters, metrics, and the drop
+//! report.
 //!
-//! A datagram never makes a line of its own. What strangers send is counted, and [`DropReport`] says
-//! now and then how much it was.
+//! A datagram never gets a log line of its own. The relay counts what strangers send, and
+//! [`DropReport`] writes the numbers into the log from time to time.
 
 mod drop_report;
 pub mod metrics;

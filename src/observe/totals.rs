@@ -1,8 +1,8 @@
-//! The one place that adds up the workers' counters: for a node, for the nodes of a net, for a
+//! The one place that adds up the workers' counters: for a node, for all nodes of a net, and for a
 //! net. Metrics, admin API, log and demo all read these sums.
 //!
-//! The workers go on counting while they are read, so figures that belong together may be some
-//! datagrams apart; each alone never runs backwards (`flows` apart).
+//! The workers go on counting while the sums are made. So figures that belong together may differ
+//! by some datagrams. Each figure on its own never decreases, except `flows`.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -19,18 +19,18 @@ pub struct DirectionTotals {
     pub received: u64,
     /// Datagrams handed back to the kernel.
     pub forwarded: u64,
-    /// UDP payload octets of the forwarded ones.
+    /// Octets of UDP payload in the forwarded datagrams.
     pub forwarded_bytes: u64,
     dropped: [u64; DropReason::COUNT],
 }
 
 impl DirectionTotals {
-    /// Datagrams dropped for this reason.
+    /// The datagrams dropped for this reason.
     pub fn dropped(&self, reason: DropReason) -> u64 {
         self.dropped[reason as usize]
     }
 
-    /// Datagrams dropped, whatever the reason.
+    /// The datagrams dropped for any reason.
     pub fn dropped_total(&self) -> u64 {
         self.dropped.iter().sum()
     }
@@ -45,14 +45,14 @@ impl DirectionTotals {
     }
 }
 
-/// Response times: from a forwarded request to its forwarded response.
+/// Response times. Each is the time from a forwarded request to its forwarded response.
 #[derive(Clone, Debug)]
 pub struct ResponseTotals([BucketTotals; FINE_BUCKETS]);
 
 /// Answers that took about the same time.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct BucketTotals {
-    /// How many there were.
+    /// The number of answers.
     pub answers: u64,
     /// The sum of their times.
     pub sum: Duration,
@@ -65,7 +65,7 @@ impl Default for ResponseTotals {
 }
 
 impl ResponseTotals {
-    /// How many times were measured.
+    /// The number of measured times.
     pub fn count(&self) -> u64 {
         self.0.iter().map(|bucket| bucket.answers).sum()
     }
@@ -75,14 +75,14 @@ impl ResponseTotals {
         self.0.iter().map(|bucket| bucket.sum).sum()
     }
 
-    /// The mean time; none before the first.
+    /// The mean time. It is `None` before the first answer.
     pub fn mean(&self) -> Option<Duration> {
         let seconds = self.sum().as_secs_f64() / self.count() as f64;
         Duration::try_from_secs_f64(seconds).ok()
     }
 
-    /// How many fell into each bucket of [`RESPONSE_BUCKETS`] alone (not cumulated); the last is
-    /// beyond all bounds.
+    /// The number of answers in each bucket of [`RESPONSE_BUCKETS`], not cumulative. The last
+    /// bucket holds the answers beyond all bounds.
     pub fn coarse(&self) -> [u64; RESPONSE_BUCKETS.len() + 1] {
         let mut coarse = [0; RESPONSE_BUCKETS.len() + 1];
         for (upper, bucket) in self.buckets() {
@@ -92,14 +92,15 @@ impl ResponseTotals {
         coarse
     }
 
-    /// Each bucket and its upper bound; the last has none.
+    /// Each bucket with its upper bound. The last bucket has no bound.
     pub fn buckets(&self) -> impl Iterator<Item = (Option<Duration>, BucketTotals)> {
         let bounds = FINE_BOUNDS.map(|bound| Some(Duration::from_nanos(bound)));
         bounds.into_iter().chain([None]).zip(self.0)
     }
 
-    /// The time that this share of the answers took at most, 0 to 1; none before the first. It is the
-    /// mean of a bucket, so only two digits are true, and no others are given.
+    /// The time within which this share of the answers came. The share is 0 to 1. The result is
+    /// `None` before the first answer. The time is the mean of a bucket, so only its first two
+    /// digits are accurate. The result is rounded to them.
     pub fn quantile(&self, share: f64) -> Option<Duration> {
         let rank = share * self.count() as f64;
         let mut below = 0;
@@ -108,49 +109,51 @@ impl ResponseTotals {
             bucket.answers > 0 && below as f64 >= rank
         })?;
         let mean = bucket.sum.as_nanos() / u128::from(bucket.answers);
-        // A worker may be between an answer and its time just now.
+        // At this moment a worker may have counted an answer but not yet added its time.
         let mean = u64::try_from(mean).unwrap_or(u64::MAX);
         Some(two_digits(upper.map_or(mean, |upper| mean.min(upper.as_nanos() as u64))))
     }
 }
 
-/// Nanoseconds, rounded to two significant digits.
+/// Rounds nanoseconds to two significant digits.
 fn two_digits(nanos: u64) -> Duration {
     let unit = 10_u64.pow(nanos.checked_ilog10().unwrap_or(0).saturating_sub(1));
     Duration::from_nanos((nanos + unit / 2) / unit * unit)
 }
 
-/// What is counted for one server node, or for several together.
+/// The counts of one server node, or of several together.
 #[derive(Clone, Debug, Default)]
 pub struct NodeTotals {
     directions: [DirectionTotals; Direction::ALL.len()],
     /// Response times.
     pub response_times: ResponseTotals,
-    /// When the last response was forwarded, from the router's start; none: never.
+    /// When the last response was forwarded, counted from the relay's start. `None`: never.
     pub last_response: Option<Duration>,
-    /// When the last request that wants an answer was accepted, likewise.
+    /// When the last request that asks for an answer was accepted, counted from the relay's start.
+    /// `None`: never.
     pub last_request: Option<Duration>,
-    /// When the first such request was accepted that no response followed; none: none waits.
+    /// When the first request was accepted that still waits for an answer. `None`: no request
+    /// waits.
     unanswered_since: Option<Duration>,
 }
 
-/// Whether a server node is there, as far as its answers tell.
+/// Whether a server node works, as far as its answers show.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Presence {
-    /// It answered when it was asked last.
+    /// The node answered when it was asked last.
     Answering,
-    /// It was asked, and has not answered anybody for [`SILENCE`](Self::SILENCE).
+    /// The node was asked, and has answered nobody for [`SILENCE`](Self::SILENCE).
     Silent,
-    /// Nobody has asked it for an answer since the start, or its first answer is still due: until
-    /// then nothing is known of it.
+    /// Nobody has asked the node for an answer since the start, or its first answer is still due.
+    /// Nothing is known of the node yet.
     NeverAsked,
 }
 
 impl Presence {
-    /// How long a node may keep everybody waiting before it is called silent.
+    /// How long a node may leave all clients without an answer before it counts as silent.
     pub const SILENCE: Duration = Duration::from_secs(5);
 
-    /// Its name in the API.
+    /// The name of this state in the API.
     pub fn label(self) -> &'static str {
         match self {
             Self::Answering => "answering",
@@ -175,18 +178,18 @@ impl NodeTotals {
         )
     }
 
-    /// The sum over `workers` for the datagrams on upstream sockets that come from no server of
+    /// The sum over `workers` for strays: datagrams on upstream sockets that come from no server of
     /// the table.
     pub fn of_strays(workers: &[Arc<Counters>]) -> Self {
         Self::sum(workers.iter().map(|worker| &*worker.stray))
     }
 
-    /// Datagrams of one direction.
+    /// The datagrams of one direction.
     pub fn direction(&self, direction: Direction) -> &DirectionTotals {
         &self.directions[direction as usize]
     }
 
-    /// Whether the node is there, at a time from the router's start.
+    /// Whether the node works. `now` is counted from the relay's start.
     pub fn presence(&self, now: Duration) -> Presence {
         let waiting = self.waiting_since().map(|since| now.saturating_sub(since));
         if waiting > Some(Presence::SILENCE) {
@@ -198,11 +201,11 @@ impl NodeTotals {
         }
     }
 
-    /// Since when everybody waits who asked the node for an answer, from the router's start; none:
-    /// nobody waits.
+    /// Since when all clients wait that asked the node for an answer, counted from the relay's
+    /// start. `None`: no client waits.
     pub fn waiting_since(&self) -> Option<Duration> {
         let since = self.unanswered_since.filter(|_| self.last_response < self.last_request)?;
-        // Another worker may have passed on a response since.
+        // Another worker may have forwarded a response after that time.
         Some(since.max(self.last_response.unwrap_or_default()))
     }
 
@@ -226,29 +229,31 @@ impl NodeTotals {
     }
 }
 
-/// About how many addresses have sent wrong passwords to any net, up to [`SourceSketch::MOST`].
+/// About how many addresses have sent wrong passwords to any net. The largest possible value is
+/// [`SourceSketch::MOST`].
 pub fn wrong_password_sources(workers: &[Arc<Counters>], table: &Table) -> u32 {
     let of_worker =
         |worker| table.net_ids().map(move |net| &Counters::net(worker, net).wrong_password_sources);
     SourceSketch::estimate(workers.iter().flat_map(|worker| of_worker(&**worker)))
 }
 
-/// A time from the router's start, of which 0 stands for never.
+/// A time counted from the relay's start. The counter value 0 stands for never.
 fn moment(nanos: &Counter) -> Option<Duration> {
     Some(nanos.get()).filter(|&nanos| nanos != 0).map(Duration::from_nanos)
 }
 
-/// What is counted for a net beside its nodes.
+/// The counts of a net that belong to no single node.
 #[derive(Clone, Debug)]
 pub struct NetTotals {
-    /// Flows open now.
+    /// Flows that are open now.
     pub flows: u64,
-    /// Flows opened so far.
+    /// Flows opened since the start.
     pub flows_opened: u64,
     flows_closed: [u64; CloseReason::ALL.len()],
-    /// Requests accepted, by the net's credentials in their order.
+    /// Accepted requests for each credential, in the order of the net's credentials.
     pub accepted: Vec<u64>,
-    /// About how many addresses have sent wrong passwords, up to [`SourceSketch::MOST`].
+    /// About how many addresses have sent wrong passwords. The largest possible value is
+    /// [`SourceSketch::MOST`].
     pub wrong_password_sources: u32,
 }
 
@@ -271,7 +276,7 @@ impl NetTotals {
         }
     }
 
-    /// Flows that ended for this reason.
+    /// The flows that ended for this reason.
     pub fn flows_closed(&self, reason: CloseReason) -> u64 {
         self.flows_closed[reason as usize]
     }
@@ -283,7 +288,8 @@ mod tests {
 
     const SECOND: u64 = 1_000_000_000;
 
-    /// What two workers have noted: last request, last response, unanswered since; in seconds.
+    /// The presence that follows from the counters of two workers. Each has the times of the last
+    /// request, the last response and the first unanswered request, in seconds.
     fn presence_at(now: u64, workers: [[u64; 3]; 2]) -> Presence {
         let nodes = workers.map(|[request, response, since]| {
             let node = NodeCounters::default();
@@ -314,7 +320,7 @@ mod tests {
         }
     }
 
-    /// What is shown of nodes whose answers take so long, as median and 99 %.
+    /// Median and 99 % quantile of nodes with these response times and numbers of answers.
     fn quantiles(workers: &[&[(u64, u32)]]) -> [Option<Duration>; 2] {
         let nodes = workers.iter().map(|times| {
             let node = NodeCounters::default();

@@ -1,5 +1,5 @@
-//! Landlock: which files can be read, and that nothing else of the file system, no TCP connection
-//! and no foreign process can be reached.
+//! Landlock: restricts which files can be read. The process cannot reach anything else in the file
+//! system, open TCP connections, or act on other processes.
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -12,20 +12,21 @@ use landlock::{
 
 use super::State;
 
-/// What is asked for; a kernel that knows less gives what it has. Raise it once it is tested.
+/// The Landlock version that is asked for. An older kernel gives what it has. Raise it only after a
+/// test with the new version.
 const KNOWN: ABI = ABI::V7;
 
-/// What `process_*` metrics are made from: a folder, and files.
+/// The folder and the files that the `process_*` metrics are made from.
 const OWN_FOLDER: &str = "/proc/self";
 const OWN_FILES: [&str; 2] = ["/proc/stat", "/proc/sys/kernel/osrelease"];
 
-/// What Landlock permits in /proc has to stay open: the kernel forgets files there that nobody has
-/// open, and makes them anew, without the permission.
+/// Files in /proc that Landlock permits. They have to stay open: the kernel forgets a file in /proc
+/// that nobody has open, and when it makes the file again, the permission is lost.
 #[derive(Debug, Default)]
 pub(super) struct OwnFigures(Vec<(PathFd, BitFlags<AccessFs>)>);
 
 impl OwnFigures {
-    /// Opens those that there are: a container may have no /proc.
+    /// Opens those that exist. A container may have no /proc.
     fn open() -> Self {
         let folder = [(OWN_FOLDER, AccessFs::ReadFile | AccessFs::ReadDir)];
         let files = OWN_FILES.map(|path| (path, AccessFs::ReadFile.into()));
@@ -34,7 +35,7 @@ impl OwnFigures {
     }
 }
 
-/// Confines the calling thread, and those it starts, to what is [`Readable`].
+/// Confines the calling thread, and all threads that it starts later, to what is [`Readable`].
 pub(super) fn confine(readable: &Readable) -> (State, OwnFigures) {
     let own_figures = OwnFigures::open();
     let state = restrict(readable, &own_figures).unwrap_or_else(State::Missing);
@@ -68,19 +69,20 @@ fn restrict(readable: &Readable, own_figures: &OwnFigures) -> Result<State, Stri
     })
 }
 
-/// What may be read.
+/// The folders and files that the process may read.
 #[derive(Debug, Default, PartialEq, Eq)]
 pub(super) struct Readable {
-    /// With all that is or will be in them.
+    /// Folders with all files that are or will be in them.
     folders: BTreeSet<PathBuf>,
-    /// As they are: what takes the place of one is another file.
+    /// Files as they are now. A file that replaces one of them is not readable.
     files: BTreeSet<PathBuf>,
 }
 
 impl Readable {
-    /// The folders that the files are in, so that files which take their place are readable too: by
-    /// name, and where links lead, as far as that is elsewhere. Where the folder is `/` or right below
-    /// it, like `/etc`, it holds the files of everybody, and the file alone is readable.
+    /// Finds the folders that contain the files, so that files which replace them are readable too.
+    /// These are the folders in the files' paths, and the folders that links lead to if those are
+    /// others. If such a folder is `/` or directly below `/`, like `/etc`, it contains files of the
+    /// whole system. Then only the file itself is readable.
     pub(super) fn of(files: &[PathBuf]) -> Self {
         let mut readable = Self::default();
         let real = files.iter().filter_map(|file| fs::canonicalize(file).ok());
@@ -101,12 +103,13 @@ impl Readable {
         readable
     }
 
-    /// Whether all that is or will be in this folder, of which the real path is given, can be read.
+    /// Whether everything that is or will be in this folder can be read. The folder has to be given
+    /// by its real path.
     pub(super) fn has_all_of(&self, folder: &Path) -> bool {
         folder.ancestors().any(|folder| self.folders.contains(folder))
     }
 
-    /// The files that cannot be replaced.
+    /// The files that cannot be replaced while the relay runs.
     pub(super) fn files(&self) -> impl Iterator<Item = &Path> {
         self.files.iter().map(PathBuf::as_path)
     }

@@ -1,5 +1,5 @@
-//! Links to folders on the way to the files that a relay reads: one that is moved later leads out of
-//! the folders that the relay was confined to when it started.
+//! Finds links to folders in the paths of the files that a relay reads. When such a link is changed
+//! later, it may lead out of the folders to which the relay was confined at its start.
 
 use std::collections::{BTreeSet, VecDeque};
 use std::fmt;
@@ -8,12 +8,12 @@ use std::path::{Component, Path, PathBuf};
 
 use super::files::Readable;
 
-/// So many links the kernel follows on one path.
+/// The kernel follows at most this many links in one path.
 const MOST_LINKS: usize = 40;
-/// Links in these folders are the system's own, like `/var/run`: nobody moves them.
+/// Links in these folders belong to the system, like `/var/run`. Nobody changes them.
 const SYSTEM: [&str; 2] = ["/", "/var"];
 
-/// A file, and a link to a folder that it is reached by.
+/// A file, and a link to a folder in the path of this file.
 #[derive(Debug, PartialEq, Eq)]
 pub struct MovableLink {
     file: PathBuf,
@@ -35,14 +35,15 @@ impl fmt::Display for MovableLink {
     }
 }
 
-/// The links to folders that lead a relay out of what it may read, once they are moved; each once.
+/// The links to folders that may lead a relay out of the folders that it may read, once they are
+/// changed. Each link is in the list once.
 pub fn movable_links(files: &[PathBuf]) -> Vec<MovableLink> {
     let readable = Readable::of(files);
     let mut known = BTreeSet::new();
     let mut found = Vec::new();
     for file in files {
         for (link, folder) in folder_links(file) {
-            // Another version is expected beside this one, as the kubelet lays them out.
+            // The next version is expected to stand next to this one, as the kubelet arranges them.
             let beside = folder.parent().unwrap_or(&folder);
             if !readable.has_all_of(beside) && known.insert(link.clone()) {
                 found.push(MovableLink { file: file.clone(), link, folder });
@@ -52,7 +53,7 @@ pub fn movable_links(files: &[PathBuf]) -> Vec<MovableLink> {
     found
 }
 
-/// The links to folders on the way to a file, and where they lead now.
+/// The links to folders in the path of a file, and where they lead now.
 fn folder_links(file: &Path) -> Vec<(PathBuf, PathBuf)> {
     let mut found = Vec::new();
     let mut followed = 0;
@@ -114,7 +115,7 @@ mod tests {
         assert_eq!(links(&[&by_link, &current.join("secrets/a")]), [current.as_path()]);
         assert_eq!(links(&[&real]), [""; 0].map(PathBuf::from));
 
-        // By a link to the file, and a link to the link.
+        // The file is reached through a link to the file, or through a link to the link.
         let (file, again) = (root.join("relay.toml"), root.join("again"));
         symlink("current/relay.toml", &file).unwrap();
         symlink("current", &again).unwrap();
@@ -123,7 +124,7 @@ mod tests {
         symlink(&file, &outside).unwrap();
         assert_eq!(links(&[&outside]), [current.as_path()]);
         assert_eq!(links(&[&again.join("relay.toml")]), [again, current]);
-        // Of a file in the folder that has all releases, nothing leads out.
+        // When the file is in the folder that contains all releases, no link leads out.
         assert_eq!(links(&[&file]), [""; 0].map(PathBuf::from));
 
         let ring = root.join("ring");
@@ -131,7 +132,7 @@ mod tests {
         assert_eq!(links(&[&ring.join("relay.toml")]), [""; 0].map(PathBuf::from));
     }
 
-    /// A volume of Kubernetes: `..data` is moved, within a folder that the relay may read.
+    /// A Kubernetes volume: `..data` is changed, but within a folder that the relay may read.
     #[test]
     fn links_that_stay_within_the_folder_are_left_alone() {
         let root = tempfile::tempdir().unwrap();

@@ -1,10 +1,10 @@
-//! Confinement: what the process gives up for good, so that a fault in it cannot become a way into
-//! the host.
+//! Confinement: the process gives up rights for good, so that a fault in the relay does not let an
+//! attacker into the host.
 //!
-//! It comes in two steps, [`prepare`] before the first file is read and [`Prepared::confine`] once
-//! every socket is bound. Both belong on the main thread before another one runs: most of this is
-//! a matter of single threads, and of what they inherit. A layer that the kernel lacks is left out
-//! and said so.
+//! The confinement has two steps: [`prepare`] before the first file is read, and
+//! [`Prepared::confine`] once every socket is bound. Both have to run on the main thread before
+//! another thread exists. Most of these restrictions apply to a single thread and to the threads
+//! that it starts later. If the kernel lacks a layer, the relay runs without it and says so.
 
 mod files;
 mod links;
@@ -25,28 +25,29 @@ use crate::logging::list;
 pub use links::{MovableLink, movable_links};
 pub use user::{User, UserError};
 
-/// A way in which the process is confined.
+/// One of the ways in which the process is confined.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, VariantArray)]
 pub enum Layer {
-    /// No core dump shows the memory, in which passwords are, nor does a debugger without
-    /// privileges.
+    /// The memory, which contains passwords, appears in no core dump. A debugger without privileges
+    /// cannot read it either.
     Memory,
-    /// No program that is started gains a privilege.
+    /// No program that the process starts can gain a privilege.
     NoNewPrivs,
-    /// No capability is left, not even to root.
+    /// No capability is left, not even if the process runs as root.
     Capabilities,
-    /// Only the configuration, the passwords and the process's own figures can be read, nothing can
-    /// be written; TCP neither connects nor listens anew; no signal leaves the process.
+    /// Only the configuration, the password files and the process's own figures can be read.
+    /// Nothing can be written. No new TCP connection or TCP listener is possible. The process can
+    /// send no signal to another process.
     Landlock,
-    /// Only the system calls of a relay are left.
+    /// Only the system calls that a relay needs are left.
     Seccomp,
 }
 
 impl Layer {
-    /// All layers, in the order of their effect.
+    /// All layers, in the order in which they take effect.
     pub const ALL: [Self; Self::VARIANTS.len()] = *Self::VARIANTS.first_chunk().unwrap();
 
-    /// Its name in logs, metrics and the API.
+    /// The name of the layer in logs, metrics and the API.
     pub fn label(self) -> &'static str {
         match self {
             Self::Memory => "memory",
@@ -61,18 +62,18 @@ impl Layer {
 /// How far a layer is in force.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum State {
-    /// As a whole.
+    /// The whole layer is in force.
     On,
-    /// What this kernel can do of it.
+    /// Only the part that this kernel supports is in force, for this reason.
     Partly(String),
-    /// Not at all, for this reason.
+    /// The layer is not in force, for this reason.
     Missing(String),
-    /// Not asked for.
+    /// Nobody asked for this layer.
     Off,
 }
 
 impl State {
-    /// Its name in logs and the API.
+    /// The name of the state in logs and the API.
     pub fn label(&self) -> &'static str {
         match self {
             Self::On => "on",
@@ -82,7 +83,7 @@ impl State {
         }
     }
 
-    /// Why it is not on as a whole.
+    /// Why the layer is not fully in force.
     pub fn why(&self) -> Option<&str> {
         match self {
             Self::Partly(why) | Self::Missing(why) => Some(why),
@@ -95,19 +96,19 @@ impl State {
     }
 }
 
-/// How the process is confined. Cheap to clone.
+/// How the process is confined. Cloning is cheap.
 #[derive(Clone, Debug)]
 pub struct Sandbox {
     states: [State; Layer::ALL.len()],
     user: Uid,
-    /// Files that are readable as they are now, and not when others take their place.
+    /// Files that can be read as they are now. A file that replaces one of them cannot be read.
     fixed: Arc<[PathBuf]>,
-    /// Keeps what Landlock lets the process read of itself: see [`files`].
+    /// Keeps open what Landlock lets the process read about itself: see [`files`].
     _own_figures: Arc<files::OwnFigures>,
 }
 
 impl Sandbox {
-    /// No confinement.
+    /// A process without confinement.
     pub fn off() -> Self {
         let states = [const { State::Off }; _];
         Self { states, user: geteuid(), fixed: Arc::default(), _own_figures: Arc::default() }
@@ -118,7 +119,7 @@ impl Sandbox {
         Layer::ALL.into_iter().zip(&self.states)
     }
 
-    /// Says in the log how the process is confined: one line.
+    /// Writes one line into the log that says how the process is confined.
     pub fn announce(&self) {
         let [memory, no_new_privs, capabilities, landlock, seccomp] =
             self.states.each_ref().map(State::label);
@@ -161,7 +162,7 @@ impl Sandbox {
     }
 }
 
-/// What [`prepare`] has done.
+/// The result of [`prepare`].
 #[derive(Debug)]
 #[must_use = "this is half of the confinement"]
 pub struct Prepared {
@@ -169,24 +170,25 @@ pub struct Prepared {
     no_new_privs: State,
 }
 
-/// Gives up at once what not even the start needs: debuggers, privileges of programs that it might
-/// start, and all capabilities but those for ports below 1024 and for becoming a [`User`]. So a file
-/// that could not be read again later, confined, is not read now either.
+/// Gives up at once what is not necessary even for the start: debuggers, privileges of programs
+/// that the process might start, and all capabilities except those for ports below 1024 and for
+/// becoming a [`User`]. So a file that the confined process could not read on a reload cannot be
+/// read at the start either.
 pub fn prepare() -> Prepared {
     let memory = State::of(nix::sys::prctl::set_dumpable(false));
     let no_new_privs = State::of(nix::sys::prctl::set_no_new_privs());
-    // `confine` tells how it went.
+    // `confine` reports the result.
     let _ = privileges::keep_for_the_start();
     Prepared { memory, no_new_privs }
 }
 
 impl Prepared {
-    /// Gives up the rest. What stays: the sockets that are there, reading whatever is or will be in
-    /// the folders of the `readable` files (of folders like `/etc`, these files alone), new UDP
-    /// sockets, threads.
+    /// Gives up the rest. The process keeps its open sockets and its threads, and may open new UDP
+    /// sockets and start new threads. It may read all files that are or will be in the folders of
+    /// the `readable` files. Of folders like `/etc`, it may read only these files.
     pub fn confine(self, readable: &[PathBuf]) -> Sandbox {
         let user = geteuid();
-        // Anew, for the kernel forgets it with a change of user.
+        // This is set again, because the kernel resets it when the user changes.
         let memory = match self.memory {
             State::On => State::of(nix::sys::prctl::set_dumpable(false)),
             other => other,
@@ -195,7 +197,7 @@ impl Prepared {
         let readable = files::Readable::of(readable);
         let (landlock, own_figures) = files::confine(&readable);
         let fixed = readable.files().map(Path::to_owned).collect();
-        // Last, for the others need system calls that are gone then.
+        // Seccomp comes last: the other layers need system calls that it blocks.
         let seccomp = State::of(system_calls::confine());
         let states = [memory, self.no_new_privs, capabilities, landlock, seccomp];
         Sandbox { states, user, fixed, _own_figures: Arc::new(own_figures) }

@@ -1,10 +1,11 @@
-//! Capabilities: given up in every set, of the calling thread and of those it starts.
+//! Capabilities: they are removed from every set, for the calling thread and the threads that it
+//! starts later.
 
 use caps::errors::CapsError;
 use caps::{CapSet, Capability, CapsHashSet};
 
-/// Keeps the capabilities for ports below 1024 and for becoming another user, as far as they are
-/// there, and gives up all others.
+/// Keeps the capabilities for ports below 1024 and for becoming another user, if the process has
+/// them. Gives up all others.
 pub(super) fn keep_for_the_start() -> Result<(), CapsError> {
     keep(CapsHashSet::from([
         Capability::CAP_NET_BIND_SERVICE,
@@ -13,14 +14,15 @@ pub(super) fn keep_for_the_start() -> Result<(), CapsError> {
     ]))
 }
 
-/// Gives up all that is left.
+/// Gives up all capabilities that are left.
 pub(super) fn keep_none() -> Result<(), CapsError> {
     keep(CapsHashSet::new())
 }
 
 fn keep(kept: CapsHashSet) -> Result<(), CapsError> {
-    // The bounding set takes a capability to shrink, so it is first. Who has none cannot shrink it,
-    // and has no use for it: it bounds what a started program may gain, which is nothing.
+    // A process needs a capability to shrink the bounding set, so this comes first. A process
+    // without that capability cannot shrink the set, but it does not matter: the set limits what a
+    // program that it starts may gain, and such a program gains nothing.
     let _ = caps::clear(None, CapSet::Bounding);
     caps::clear(None, CapSet::Ambient)?;
     caps::clear(None, CapSet::Inheritable)?;

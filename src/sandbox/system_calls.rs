@@ -1,10 +1,11 @@
-//! seccomp: the system calls that are left.
+//! seccomp: restricts the process to the system calls of a relay.
 //!
-//! The list is what the relay was seen to call, with glibc and with musl: at the start, under
-//! traffic and floods, while it is watched, and at its end; with what the C libraries call instead on
-//! other kernels. What is not on it fails with EPERM and is the caller's to report: a new C library
-//! that tries something new must not stop a plant. What no relay ever calls, but an intruder
-//! does, ends the process at once, and the kernel's log says so.
+//! The list holds the calls that were observed in the relay, with glibc and with musl: at the
+//! start, under traffic and floods, while somebody watches it, and at its end. It also holds the
+//! calls that the C libraries use instead on other kernels. Any other call fails with EPERM, and
+//! its caller reports the error: a new C library that tries a new call must not stop a plant. Calls
+//! that no relay ever makes, but an intruder does, end the process at once, and the kernel's log
+//! says so.
 
 use std::collections::BTreeMap;
 use std::env;
@@ -15,12 +16,13 @@ use seccompiler::{
     SeccompFilter, SeccompRule,
 };
 
-/// Allowed whatever their arguments.
+/// Calls that are allowed with any arguments.
 const ALLOWED: &[libc::c_long] = &[
     // Datagrams and connections
     libc::SYS_accept4,
     libc::SYS_bind,
-    // To the service manager: new sockets are of datagrams, and Landlock keeps TCP from it
+    // Connects to the service manager. New sockets are datagram sockets, and Landlock forbids TCP
+    // connections
     libc::SYS_connect,
     libc::SYS_getsockname,
     libc::SYS_getsockopt,
@@ -42,7 +44,7 @@ const ALLOWED: &[libc::c_long] = &[
     libc::SYS_restart_syscall,
     libc::SYS_sched_yield,
     libc::SYS_timerfd_settime,
-    // Reading what may be read, writing what is open
+    // Reading permitted files, writing to open ones
     libc::SYS_close,
     libc::SYS_fcntl,
     libc::SYS_fstat,
@@ -62,7 +64,7 @@ const ALLOWED: &[libc::c_long] = &[
     libc::SYS_madvise,
     libc::SYS_mremap,
     libc::SYS_munmap,
-    // Threads, signals, time, the end
+    // Threads, signals, time, end of the process
     libc::SYS_clock_gettime,
     libc::SYS_exit,
     libc::SYS_exit_group,
@@ -78,18 +80,18 @@ const ALLOWED: &[libc::c_long] = &[
     libc::SYS_sched_getaffinity,
     libc::SYS_set_robust_list,
     libc::SYS_sigaltstack,
-    // Fails with ENOSYS by another filter, so that the C library takes `clone`
+    // Another filter makes this call fail with ENOSYS, so that the C library uses `clone`
     libc::SYS_clone3,
 ];
 
-/// Older forms of the above, which other processors do not have.
+/// Older forms of the calls above. Other processors do not have them.
 #[cfg(target_arch = "x86_64")]
 const ALLOWED_OLD: &[libc::c_long] =
     &[libc::SYS_epoll_wait, libc::SYS_lstat, libc::SYS_readlink, libc::SYS_stat];
 #[cfg(not(target_arch = "x86_64"))]
 const ALLOWED_OLD: &[libc::c_long] = &[];
 
-/// What ends the process.
+/// Calls that end the process.
 const DEADLY: &[libc::c_long] = &[
     libc::SYS_bpf,
     libc::SYS_execve,
@@ -117,9 +119,10 @@ pub(super) enum Error {
     Install(#[from] seccompiler::Error),
 }
 
-/// Installs the filters, for every thread of the process.
+/// Installs the filters for every thread of the process.
 pub(super) fn confine() -> Result<(), Error> {
-    // The strictest verdict counts. The list is last, for it takes away what installs a filter.
+    // The strictest result of all filters counts. The list of allowed calls comes last, because it
+    // blocks the calls that install a filter.
     let refuse = |errno: libc::c_int| SeccompAction::Errno(errno as u32);
     let (allow, kill) = (SeccompAction::Allow, SeccompAction::KillProcess);
     let filters = [
@@ -148,23 +151,25 @@ fn allowed() -> Result<Rules, Error> {
     let mut rules = unconditional(ALLOWED);
     rules.extend(unconditional(ALLOWED_OLD));
 
-    // To read, and nothing else. Not by O_ACCMODE, in which musl has O_PATH.
+    // Files can only be opened for reading. O_ACCMODE is no good for this check, because musl
+    // includes O_PATH in it.
     let writing = libc::O_WRONLY | libc::O_RDWR | libc::O_CREAT | libc::O_TRUNC;
     rules.insert(libc::SYS_openat, vec![rule(&[none_of(2, writing)?])?]);
     #[cfg(target_arch = "x86_64")]
     rules.insert(libc::SYS_open, vec![rule(&[none_of(1, writing)?])?]);
 
-    // No memory that holds new code.
+    // No memory can become executable.
     let no_code = none_of(2, libc::PROT_EXEC)?;
     rules.insert(libc::SYS_mmap, vec![rule(std::slice::from_ref(&no_code))?]);
     rules.insert(libc::SYS_mprotect, vec![rule(&[no_code])?]);
 
-    // Threads, no processes.
+    // New threads are allowed, new processes are not.
     let thread = libc::CLONE_THREAD;
     rules.insert(libc::SYS_clone, vec![rule(&[masked(0, thread, thread)?])?]);
     rules.insert(libc::SYS_prctl, vec![rule(&[is(0, libc::PR_SET_NAME)?])?]);
 
-    // UDP; datagrams to the service manager; the pair that carries signals to the main thread.
+    // Allowed sockets: UDP, datagrams to the service manager, and the pair that carries signals to
+    // the main thread.
     let kind = libc::SOCK_STREAM | libc::SOCK_DGRAM | libc::SOCK_RAW | libc::SOCK_SEQPACKET;
     let datagrams = |family| rule(&[is(0, family)?, masked(1, kind, libc::SOCK_DGRAM)?]);
     let families = [libc::AF_INET, libc::AF_INET6, libc::AF_UNIX];
@@ -173,7 +178,7 @@ fn allowed() -> Result<Rules, Error> {
     rules.insert(libc::SYS_socketpair, vec![rule(&[is(0, libc::AF_UNIX)?])?]);
     rules.insert(libc::SYS_ioctl, vec![rule(&[is(1, libc::FIONBIO as libc::c_int)?])?]);
 
-    // Its own limits; its own end, after a panic.
+    // The process may change its own limits, and abort itself after a panic.
     rules.insert(libc::SYS_prlimit64, vec![rule(&[is(0, 0)?])?]);
     let own = is(0, process::id() as libc::c_int)?;
     rules.insert(libc::SYS_tgkill, vec![rule(&[own, is(2, libc::SIGABRT)?])?]);
@@ -181,7 +186,7 @@ fn allowed() -> Result<Rules, Error> {
     Ok(rules)
 }
 
-/// All of these conditions.
+/// A rule that needs all of these conditions.
 fn rule(conditions: &[SeccompCondition]) -> Result<SeccompRule, BackendError> {
     SeccompRule::new(conditions.to_vec())
 }

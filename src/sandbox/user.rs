@@ -1,7 +1,8 @@
-//! The user that a relay becomes which root has started: `[runtime] user`.
+//! `[runtime] user`: the user that the relay becomes when root has started it.
 //!
-//! Before there is a second thread, for what the kernel changes is one thread's. `/etc/passwd` is read
-//! here and not by the C library, which in a static program could not ask its modules.
+//! The change has to happen before there is a second thread, because the kernel changes only the
+//! calling thread. This module reads `/etc/passwd` itself. The C library of a static program could
+//! not load its modules for that.
 
 use std::fs;
 
@@ -11,42 +12,42 @@ use nix::unistd::{Gid, Uid, geteuid, setegid, seteuid, setgroups, setresgid, set
 const USERS: &str = "/etc/passwd";
 const ROOT: Uid = Uid::from_raw(0);
 
-/// A user of this host, with its own group and no other.
+/// A user of this host, with its own group and no others.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct User {
-    /// As configured: a name or a number.
+    /// The user as configured: a name or a number.
     name: String,
     uid: Uid,
     gid: Gid,
 }
 
-/// Why the process does not become a user.
+/// Why the process cannot become a user.
 #[derive(Debug, thiserror::Error)]
 pub enum UserError {
-    /// No such user.
+    /// There is no such user.
     #[error(
         "[runtime] user: there is no user {0:?} on this host; make one with `useradd --system`"
     )]
     Unknown(String),
-    /// It is no change.
+    /// The user is root, so nothing would change.
     #[error("[runtime] user: root is what is to be given up; name a user of the relay's own")]
     Root,
-    /// Only root can.
+    /// The process is not root, and only root can become another user.
     #[error("[runtime] user: only root becomes {0:?}; start the relay as root, or as that user")]
     NotRoot(String),
-    /// The system refuses.
+    /// The system refuses the change.
     #[error("[runtime] user: cannot become {user:?}: {source}")]
     Refused {
-        /// As configured.
+        /// The user as configured.
         user: String,
-        /// What the system says.
+        /// The error that the system gave.
         source: Errno,
     },
 }
 
 impl User {
-    /// The user with this name or number. A number that no user has stands for itself, with the group
-    /// of the same number.
+    /// Finds the user with this name or number. A number that belongs to no user is taken as a user
+    /// ID, with the group of the same number.
     pub fn find(user: &str) -> Result<Self, UserError> {
         let users = fs::read_to_string(USERS).unwrap_or_default();
         let found = Self::find_among(&users, user);
@@ -58,7 +59,7 @@ impl User {
         Self { name: name.to_owned(), uid: Uid::from_raw(uid), gid: Gid::from_raw(gid) }
     }
 
-    /// `users` is written as passwd(5) says: `name:password:uid:gid:…`.
+    /// Finds a user in `users`, which has the format of passwd(5): `name:password:uid:gid:…`.
     fn find_among(users: &str, user: &str) -> Option<Self> {
         let number = user.parse::<u32>().ok();
         let entry = |line: &str| {
@@ -72,8 +73,9 @@ impl User {
         users.lines().find_map(entry).or(itself)
     }
 
-    /// Does something with the rights of this user alone, and is root again: what it could not read
-    /// later is not read now either. Tells when the process is neither root nor this user.
+    /// Does something with the rights of this user only, and becomes root again. So a file that
+    /// this user cannot read later is not read now either. Fails when the process is neither root
+    /// nor this user.
     pub fn act<T>(&self, act: impl FnOnce() -> T) -> Result<T, UserError> {
         if !geteuid().is_root() {
             let not_root = UserError::NotRoot(self.name.clone());
@@ -87,7 +89,7 @@ impl User {
         Ok(done)
     }
 
-    /// Becomes this user for good, unless the process is this user already.
+    /// Becomes this user for good. Does nothing when the process is this user already.
     pub fn become_for_good(&self) -> Result<(), UserError> {
         if !geteuid().is_root() {
             return Ok(());

@@ -1,8 +1,8 @@
-//! Every metric family: its name, its help text, and where its samples come from. Nothing else in
+//! Every metric family: its name, its help text, and the source of its samples. No other place in
 //! the program names a metric.
 //!
-//! Labels are names of the configuration, node addresses and labels of enums: never a client's
-//! address, never a password.
+//! Label values are names from the configuration, node addresses and labels of enums. They never
+//! contain a client's address or a password.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -18,7 +18,7 @@ use crate::nat::{CloseReason, Direction, Net, RESPONSE_BUCKETS};
 use crate::observe::totals::{DirectionTotals, NetTotals, NodeTotals};
 use crate::sandbox::{Layer, Sandbox, State};
 
-/// A family of which each net has samples.
+/// A family that has samples for each net.
 pub(super) struct NetFamily {
     pub(super) name: &'static str,
     pub(super) help: &'static str,
@@ -26,22 +26,23 @@ pub(super) struct NetFamily {
     pub(super) samples: fn(&NetSums<'_>) -> Vec<Metric>,
 }
 
-/// What the families of one net are made of.
+/// The sums from which the families of one net are made.
 pub(super) struct NetSums<'a> {
-    /// Value of the label `net`.
+    /// The value of the label `net`.
     pub(super) label: &'a str,
-    /// Value of the label `node`, and the node's sums.
+    /// For each node, the value of the label `node` and the node's sums.
     pub(super) nodes: Vec<(String, NodeTotals)>,
-    /// The net itself; none for strays, which belong to no net.
+    /// The net itself. `None` for strays, which belong to no net.
     pub(super) net: Option<(&'a Net, NetTotals)>,
-    /// Asks the kernel about every public socket of a net, so only when it is wanted.
+    /// Asks the kernel about every public socket of the net. This is slow, so only the family that
+    /// needs the figures calls it.
     pub(super) kernel_drops: Box<dyn Fn() -> KernelDrops + 'a>,
-    /// The router's start as Unix time, in seconds.
+    /// The relay's start as Unix time, in seconds.
     pub(super) started_at: f64,
 }
 
 impl NetSums<'_> {
-    /// A moment from the router's start in Unix time; 0 for none.
+    /// Converts a time since the relay's start to Unix time. `None` becomes 0.
     fn unix_time(&self, moment: Option<Duration>) -> f64 {
         moment.map_or(0.0, |moment| self.started_at + moment.as_secs_f64())
     }
@@ -136,7 +137,7 @@ pub(super) const NET_FAMILIES: &[NetFamily] = &[
     },
 ];
 
-/// A family with one sample for the whole router.
+/// A family with one sample for the whole relay.
 pub(super) struct RouterFamily {
     pub(super) name: &'static str,
     pub(super) help: &'static str,
@@ -144,11 +145,11 @@ pub(super) struct RouterFamily {
     pub(super) sample: fn(&RouterState) -> Metric,
 }
 
-/// What the families of the router are made of.
+/// The state from which the families of the relay are made.
 pub(super) struct RouterState {
     pub(super) last_reload: Arc<LastReload>,
     pub(super) started: Instant,
-    /// The same as Unix time, in seconds.
+    /// `started` as Unix time, in seconds.
     pub(super) started_at: f64,
     pub(super) audit_lines_left_out: u64,
     pub(super) log_lines_lost: u64,
@@ -198,8 +199,8 @@ fn directions(sums: &NetSums<'_>, value: fn(&DirectionTotals) -> u64) -> Vec<Met
     each_direction(sums, |labels, _, totals| vec![counter(labels, value(totals))])
 }
 
-/// Every reason of the direction, counted or not: a series that appears with its first drop would
-/// hide that drop from `increase()`.
+/// Gives a sample for every drop reason of the direction, even at 0. If a series only appeared with
+/// its first drop, `increase()` would not show that drop.
 fn dropped(sums: &NetSums<'_>) -> Vec<Metric> {
     each_direction(sums, |&[net, node, way], direction, totals| {
         let reasons = direction.drop_reasons().iter();
@@ -265,10 +266,10 @@ fn unanswered_since(sums: &NetSums<'_>) -> Vec<Metric> {
     each_node(sums, |labels, totals| gauge(labels, sums.unix_time(totals.waiting_since())))
 }
 
-/// The family of [`sandbox_layers`].
+/// The name of the family that [`sandbox_layers`] makes.
 pub(super) const SANDBOX_LAYER: &str = "pnet_nat_sandbox_layer";
 
-/// How the process is confined.
+/// The family that tells how the process is confined.
 pub(super) fn sandbox_layers(sandbox: &Sandbox) -> MetricFamily {
     let sample = |(layer, state): (Layer, &State)| {
         gauge(&[("layer", layer.label())], f64::from(*state == State::On))
@@ -283,8 +284,8 @@ pub(super) fn sandbox_layers(sandbox: &Sandbox) -> MetricFamily {
 
 type Label<'a> = (&'a str, &'a str);
 
-/// What `samples` gives for each node and direction, strays included: there the law of the
-/// counters can be checked over all series.
+/// The samples for each node and direction. Strays are included, so that the law of the counters
+/// (received = forwarded + dropped) can be checked over all series.
 fn each_direction(
     sums: &NetSums<'_>,
     samples: impl Fn(&[Label<'_>; 3], Direction, &DirectionTotals) -> Vec<Metric>,
@@ -299,7 +300,7 @@ fn each_direction(
     all
 }
 
-/// One sample for each node of a net; none for strays.
+/// One sample for each node of a net. There are none for strays.
 fn each_node(
     sums: &NetSums<'_>,
     sample: impl Fn(&[Label<'_>; 2], &NodeTotals) -> Metric,
@@ -308,7 +309,7 @@ fn each_node(
     nodes.map(|(node, totals)| sample(&[("net", sums.label), ("node", node)], totals)).collect()
 }
 
-/// The samples of a net itself; none for strays.
+/// The samples of the net itself. There are none for strays.
 fn of_net(
     sums: &NetSums<'_>,
     samples: impl Fn(&[Label<'_>; 1], &Net, &NetTotals) -> Vec<Metric>,

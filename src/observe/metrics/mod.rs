@@ -1,8 +1,9 @@
-//! What Prometheus scrapes: sums over the workers' counters, made into text when asked for.
+//! The metrics that Prometheus scrapes. They are sums over the workers' counters, made into text
+//! when a scraper asks for them.
 //!
-//! A large table makes hundreds of thousands of series. The text therefore comes as an iterator
-//! that makes one family of one net at a time, when the reader wants more: memory stays flat and
-//! a scraper that stops reading stops the work, not the router.
+//! A large table makes hundreds of thousands of series. So the text comes as an iterator: each step
+//! makes one family of one net, when the reader wants more. Memory use stays flat. When a scraper
+//! stops reading, only this work stops, and the relay goes on.
 
 mod families;
 #[cfg(test)]
@@ -27,32 +28,33 @@ use crate::nat::NetId;
 use crate::observe::totals::{NetTotals, NodeTotals};
 use crate::sandbox::Sandbox;
 
-/// The format of [`Metrics::chunks`].
+/// The content type of the text that [`Metrics::chunks`] makes.
 pub const CONTENT_TYPE: &str = "text/plain; version=0.0.4; charset=utf-8";
 
-/// Labels of datagrams on upstream sockets that come from no server of the table.
+/// The labels of strays: datagrams on upstream sockets that come from no server of the table.
 const STRAY_NET: &str = "none";
 const STRAY_NODE: &str = "0";
 
-/// The metrics of one router.
+/// The metrics of one relay.
 #[derive(Clone, Debug)]
 pub struct Metrics {
     router: Arc<Router>,
     sandbox: Sandbox,
-    /// Unix time of the router's start, in microseconds, by the clock as it was set at the last
-    /// scrape: a router without a battery learns the time long after its start.
+    /// Unix time of the relay's start, in microseconds, by the clock as it was set at the last
+    /// scrape. A machine whose clock has no battery learns the right time long after the start.
     started_at: Arc<AtomicU64>,
 }
 
 impl Metrics {
-    /// The metrics of `router`, in a process that is confined like this.
+    /// The metrics of `router`, in a process that `sandbox` describes.
     pub fn new(router: Arc<Router>, sandbox: Sandbox) -> Self {
         let started_at = Arc::new(AtomicU64::new(started_at(&router)));
         Self { router, sandbox, started_at }
     }
 
-    /// All metrics in Prometheus' text format, piece by piece; each piece is summed up and encoded
-    /// when it is taken. All are of the configuration that is in force at the beginning.
+    /// All metrics in Prometheus' text format, piece by piece. Each piece is summed up and encoded
+    /// when the caller takes it. All pieces describe the configuration that is in force when this
+    /// is called.
     pub fn chunks(&self) -> impl Iterator<Item = String> + Send + use<> {
         self.look_at_the_clock();
         let (in_force, started_at) = (self.router.in_force(), self.started_at());
@@ -72,7 +74,8 @@ impl Metrics {
             .chain(router.chain(layers).chain(process).filter_map(|family| encode(&family)))
     }
 
-    /// What little the clock is off leaves the timestamps as they are, so that they do not wobble.
+    /// Keeps the known time of the start while the clock is off by at most a second. So the
+    /// timestamps do not change slightly with each scrape.
     fn look_at_the_clock(&self) {
         let now = started_at(&self.router);
         if now.abs_diff(self.started_at.load(Relaxed)) > 1_000_000 {
@@ -85,7 +88,7 @@ impl Metrics {
     }
 }
 
-/// One family, net by net, strays last.
+/// The text of one family, net by net. Strays come last.
 fn net_family(
     in_force: Arc<ActiveConfig>,
     started_at: f64,
@@ -138,7 +141,7 @@ fn router_family(family: &RouterFamily, state: &RouterState) -> MetricFamily {
     metric_family(family.name, family.help, family.kind, vec![(family.sample)(state)])
 }
 
-/// Unix time of the router's start in microseconds, by the clock as it is set now.
+/// Unix time of the relay's start in microseconds, by the clock as it is set now.
 fn started_at(router: &Router) -> u64 {
     let started_at = SystemTime::now() - router.started().elapsed();
     let since_epoch = started_at.duration_since(UNIX_EPOCH).unwrap_or_default();
@@ -154,12 +157,12 @@ fn metric_family(name: &str, help: &str, kind: MetricType, samples: Vec<Metric>)
     family
 }
 
-/// The text of a family; none when it has no samples, which the encoder refuses.
+/// The text of a family. `None` when the family has no samples: the encoder refuses that.
 fn encode(family: &MetricFamily) -> Option<String> {
     TextEncoder::new().encode_to_string(std::slice::from_ref(family)).ok()
 }
 
-/// Octets of the HELP and TYPE lines.
+/// The length of the HELP and TYPE lines in octets.
 fn header_len(text: &str) -> usize {
     text.split_inclusive('\n').take_while(|line| line.starts_with('#')).map(str::len).sum()
 }

@@ -1,4 +1,4 @@
-//! The text that a scraper gets, read back with a parser of its own.
+//! Reads the text that a scraper gets with a parser of its own.
 
 use std::collections::BTreeMap;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
@@ -8,7 +8,7 @@ use crate::config::fixture::{NODE_1, NODE_33, SECTION, config};
 use crate::nat::{CloseReason, Direction, DropReason, RESPONSE_BUCKETS};
 use crate::sandbox::Sandbox;
 
-/// A scrape: samples by their series as written, and families with their types in order.
+/// One scrape: the samples by their series as written, and the families with their types in order.
 struct Scrape {
     samples: BTreeMap<String, f64>,
     types: Vec<(String, String)>,
@@ -19,7 +19,7 @@ impl Scrape {
         Self::parse(&Metrics::new(router.clone(), Sandbox::off()).chunks().collect::<String>())
     }
 
-    /// Reads the text format. Fails unless each family is one block: HELP, TYPE, then its samples.
+    /// Reads the text format. Panics unless each family is one block: HELP, TYPE, then its samples.
     fn parse(text: &str) -> Self {
         let mut scrape = Self { samples: BTreeMap::new(), types: Vec::new() };
         let mut helped = Vec::new();
@@ -98,7 +98,7 @@ fn every_reason_stands_at_0_before_anything_happened() {
             }
         }
     }
-    // For three nodes and the strays; no others.
+    // The three nodes and the strays have these series, and nothing else has.
     let reasons: usize = Direction::ALL.iter().map(|way| way.drop_reasons().len()).sum();
     assert_eq!(scrape.of_family("pnet_nat_dropped_datagrams_total").len(), 4 * reasons);
     for credential in ["service", "team-b"] {
