@@ -1,7 +1,8 @@
-//! Nanoseconds a datagram in the codec and in the core, without a socket.
+//! Measures the nanoseconds for each datagram in the codec and in the core, without a socket.
 //!
-//! Each figure is for one datagram, its copy into a buffer included, which is what the kernel does
-//! on the way in. `cargo bench --bench core`; a name behind `--` chooses cases.
+//! Each figure is the time for one datagram. It includes the copy of the datagram into a buffer,
+//! which the kernel makes when a datagram arrives. Run it with `cargo bench --bench core`. A name
+//! after `--` selects cases.
 
 #[allow(dead_code)] // the benchmark of many flows uses the rest
 mod rig;
@@ -60,7 +61,7 @@ fn parse(group: &mut Group) {
     }
 }
 
-/// Name, flows, nodes, and whether the servers have a password of their own.
+/// The name, the numbers of flows and nodes, and whether the servers have a password of their own.
 const SIZES: [(&str, u32, u8, bool); 4] = [
     ("1 flow", 1, 1, false),
     ("1 flow, password exchanged", 1, 1, true),
@@ -98,7 +99,7 @@ fn responses(group: &mut Group) {
     }
 }
 
-/// What strangers send, beside 64 open flows.
+/// Measures datagrams of strangers, while 64 flows are open.
 fn drops(group: &mut Group) {
     let (mut rig, mut turn) = at_work(64, 16, false);
     let route = [0x02, 0x01, 0x05, 0x02, 0x33, 0xfd, 0x81, 0xb1];
@@ -139,10 +140,10 @@ fn drops(group: &mut Group) {
     });
 }
 
-/// What strangers send from outside `allow`, however long that is.
+/// Measures datagrams from outside of `allow`, with lists of different lengths.
 fn sources(group: &mut Group) {
     for networks in [1_u32, 100, 10_000, 50_000] {
-        // One /32 in four, so that no two make one.
+        // The networks are every fourth /32, so that no two of them can be merged into one.
         let network = |n| IpNet::from(IpAddr::from(Ipv4Addr::from_bits(0x0a00_0000 + 4 * n)));
         let allow = (0..networks).map(network).collect();
         let mut rig = Rig::new(&Site { allow, ..Site::default() });
@@ -159,8 +160,8 @@ fn sources(group: &mut Group) {
     }
 }
 
-/// A flow's whole life: its socket is opened, the flow idles away, the pair rests, the socket is
-/// closed.
+/// Measures a flow's whole life: its socket is opened, the flow ends because it is idle, the pair
+/// rests, the socket is closed.
 fn flow(group: &mut Group) {
     let mut rig = Rig::new(&Site::default());
     group.bench_function("opened and closed", |bencher| {
@@ -175,7 +176,7 @@ fn flow(group: &mut Group) {
     assert!(rig.core.is_idle());
 }
 
-/// A core with open flows, and those in random order.
+/// A core with open flows, and these flows in random order.
 fn at_work(flows: u32, nodes: u8, device_password: bool) -> (Rig, Turn<Flow>) {
     let mut rig = Rig::new(&Site { nodes, device_password, ..Site::default() });
     let mut flows = rig.open_all(flows, nodes);
@@ -188,7 +189,7 @@ fn many_garbage(start: &[u8]) -> Vec<Vec<u8>> {
     (0..256).map(|_| garbage(&mut random, start)).collect()
 }
 
-/// One after the other, round and round.
+/// Gives its items one after the other. After the last one it begins again.
 struct Turn<T> {
     items: Vec<T>,
     at: usize,

@@ -1,7 +1,8 @@
-//! How long a worker is held up by what concerns all of its flows: one call at a time, in
-//! processor time, with 1,000 flows up to a million. Between two calls datagrams have their turns.
+//! Measures how long a worker is busy with tasks that concern all of its flows. Each call is
+//! measured alone, in processor time, with 1,000 flows up to a million. Between two calls the
+//! worker handles datagrams.
 //!
-//! `cargo bench --bench many_flows`
+//! Run it with `cargo bench --bench many_flows`.
 
 #[allow(dead_code)] // the benchmark of the core uses the rest
 mod rig;
@@ -68,7 +69,7 @@ fn expire(rig: &mut Rig, calls: &mut Calls) {
     while calls.time(|| rig.core.expire(rig.now, &mut rig.effects)) {}
 }
 
-/// Processor time of calls.
+/// The processor time that calls took.
 #[derive(Default)]
 struct Calls {
     longest: Duration,
@@ -88,7 +89,7 @@ impl Calls {
     }
 }
 
-/// Of this thread: whatever else the machine has to do does not count.
+/// The processor time of this thread. Other work of the machine does not count.
 fn processor_time() -> Duration {
     clock_gettime(ClockId::CLOCK_THREAD_CPUTIME_ID).unwrap().into()
 }

@@ -1,8 +1,8 @@
-//! A remote client: asks the server nodes behind a NAT router, one request at a time.
+//! A remote client. It asks the server nodes behind a NAT router, one request at a time.
 //!
 //! One UDP socket serves all nodes, as in a P-NET client, so the router sees one client endpoint
-//! . It neither repeats a request nor divides one. Invariant: what it returns answers the
-//! request just sent, and no earlier one.
+//! . The client neither repeats nor divides a request. Invariant: a returned answer belongs
+//! to the request that was just sent, and never to an earlier one.
 
 use std::io::{self, ErrorKind, IoSliceMut};
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
@@ -18,8 +18,9 @@ use crate::pnet::wire::{
     MAX_DATAGRAM, NCNA, Password,
 };
 
-/// Endpoints rotate through 1..=this, so that the answer to a request given up is told from the
-/// answer to the next one: a response comes back to the endpoint that asked.
+/// The client uses the endpoints 1 to this one in rotation. A response comes back to the endpoint
+/// that asked. So the client can tell a late answer to a request that it gave up from the answer to
+/// the next one.
 const LAST_ENDPOINT: u8 = 125;
 
 /// A UDP Range net as its client knows it: one row of the IPNetTable (PAS 8).
@@ -29,34 +30,35 @@ pub struct Target {
     pub address: IpAddr,
     /// UDPPort: public port = start port + node address (R-10, PAS 8 d).
     pub start_port: u16,
-    /// UsePW, and what it is.
+    /// The password, if UsePW is set.
     pub password: Option<Password>,
-    /// What every datagram begins with.
+    /// The header with which every datagram begins.
     pub header: Header,
-    /// Index of the row.
+    /// The IPNetID of the net: the index of its row.
     pub ip_net_id: u8,
-    /// IPNetID of the client's own net.
+    /// The IPNetID of the client's own net.
     pub own_ip_net_id: u8,
     /// The client's node address in its own net.
     pub own_node_address: u8,
 }
 
 impl Target {
-    /// The net behind this address, with the IPNetIDs and the client of PAS Figure 10.
+    /// The net behind this address, with the IPNetIDs and the client's node address of PAS Figure
+    /// 10.
     pub fn new(address: IpAddr, start_port: u16, password: Option<Password>) -> Self {
         let header = Header::default();
         let (ip_net_id, own_ip_net_id, own_node_address) = (11, 11, 3);
         Self { address, start_port, password, header, ip_net_id, own_ip_net_id, own_node_address }
     }
 
-    /// Where requests to a node go (R-10, PAS 8 d). A start port over 65410 leaves no port to the
-    /// highest node addresses; they wrap.
+    /// The public address and port of a node (R-10, PAS 8 d). With a start port above 65410, the
+    /// highest node addresses have no port: the number wraps around.
     pub fn socket_address(&self, node_address: u8) -> SocketAddr {
         SocketAddr::new(self.address, self.start_port.wrapping_add(node_address.into()))
     }
 
-    /// Writes a request that asks for its answer at this endpoint, and gives the number of octets.
-    /// Fails when the route or the data is too long.
+    /// Writes a request whose answer goes to this endpoint, and returns its length in octets. Fails
+    /// when the route or the data is too long.
     pub fn emit_request(
         &self,
         request: &Request<'_>,
@@ -64,7 +66,7 @@ impl Target {
         octets: &mut [u8],
     ) -> Result<usize, ExchangeError> {
         let destination = [&[self.ip_net_id, request.node_address], request.beyond].concat();
-        // R-27, PAS 5.7.1.5: the client's own address goes first in the source route.
+        // The client's own address comes first in the source route (R-27, PAS 5.7.1.5).
         let route = DlRoute::new(&destination, &[endpoint])?
             .sent_by(Some(self.own_ip_net_id), self.own_node_address)?
             .to_route()?;
@@ -81,45 +83,46 @@ impl Target {
     }
 }
 
-/// What to ask of a node.
+/// A request to a node.
 #[derive(Clone, Copy, Debug)]
 pub struct Request<'a> {
     /// The server node on the IP net.
     pub node_address: u8,
     /// The rest of the destination route, behind that node: ports and node addresses.
     pub beyond: &'a [u8],
-    /// Control-status.
+    /// The control-status.
     pub control_status: u8,
     /// The data, at most 63 octets.
     pub data_octets: &'a [u8],
 }
 
-/// What a node answered.
+/// The answer of a node.
 #[derive(Clone, Debug)]
 pub struct Answer {
-    /// Destination elements as they came; the first two need not be those of the request.
+    /// The destination elements as they came. The first two may differ from those of the request
+    ///
     pub destinations: Elements,
-    /// Source elements as they came.
+    /// The source elements as they came.
     pub sources: Elements,
-    /// Control-status.
+    /// The control-status.
     pub control_status: u8,
     /// The data.
     pub data_octets: ArrayVec<u8, MAX_DATA>,
 }
 
-/// Why an exchange came to nothing.
+/// Why an exchange failed.
 #[derive(Debug, thiserror::Error)]
 pub enum ExchangeError {
-    /// Nothing that answers the request came in time.
+    /// No answer to the request came in time.
     #[error("no answer within {}", humantime::format_duration(*waited))]
     NoAnswer {
         /// How long the client waited.
         waited: Duration,
     },
-    /// The network says that the request did not arrive, before the time is up.
+    /// Before the time was up, the network reported that the request did not arrive.
     #[error("{}", in_words(.0))]
     Undelivered(io::Error),
-    /// The elements make no P-NET-route.
+    /// The elements do not form a valid P-NET-route.
     #[error("no route to the node: {0}")]
     Route(#[from] DlRouteError),
     /// The request does not fit into a datagram.
@@ -128,9 +131,9 @@ pub enum ExchangeError {
     /// The system refused.
     #[error("{to}: {reason}")]
     Socket {
-        /// Where the request went.
+        /// The destination of the request.
         to: SocketAddr,
-        /// What the system said.
+        /// The error that the system gave.
         reason: io::Error,
     },
 }
@@ -139,7 +142,8 @@ fn undelivered(error: io::Error) -> ExchangeError {
     ExchangeError::Undelivered(error)
 }
 
-/// What an ICMP message, or the system itself, says of a request that did not arrive.
+/// Describes the error of an ICMP message or of the system itself about a request that did not
+/// arrive.
 fn in_words(error: &io::Error) -> String {
     match error.kind() {
         ErrorKind::ConnectionRefused => "nothing listens there".to_owned(),
@@ -159,14 +163,15 @@ pub struct Client {
 }
 
 impl Client {
-    /// A client on any free port.
+    /// Makes a client on any free port.
     pub async fn bind(target: Target) -> io::Result<Self> {
         let any: IpAddr = match target.address {
             IpAddr::V4(_) => Ipv4Addr::UNSPECIFIED.into(),
             IpAddr::V6(_) => Ipv6Addr::UNSPECIFIED.into(),
         };
         let socket = UdpSocket::bind((any, 0)).await?;
-        // Else a host or network that cannot be reached would be kept from us.
+        // Without this option, the kernel would not report that a host or a network cannot be
+        // reached.
         match any {
             IpAddr::V4(_) => setsockopt(&socket, sockopt::Ipv4RecvErr, &true)?,
             IpAddr::V6(_) => setsockopt(&socket, sockopt::Ipv6RecvErr, &true)?,
@@ -174,9 +179,9 @@ impl Client {
         Ok(Self { socket, target, endpoint: 0 })
     }
 
-    /// Sends one request and waits for its answer; returns it with the time from the sending of the
-    /// one to the arrival of the other. Whatever else comes meanwhile is passed over. Fails at once
-    /// when the network says that the request did not arrive.
+    /// Sends one request and waits for its answer. Returns the answer, and the time from sending
+    /// the request to receiving the answer. Other datagrams that come in the meantime are ignored.
+    /// Fails at once when the network reports that the request did not arrive.
     pub async fn exchange(
         &mut self,
         request: &Request<'_>,
@@ -187,7 +192,8 @@ impl Client {
         let length = self.target.emit_request(request, self.endpoint, &mut octets)?;
         let to = self.target.socket_address(request.node_address);
         let failed = |reason| ExchangeError::Socket { to, reason };
-        // A connected socket is told when nothing listens there; the next request connects it anew.
+        // The kernel tells a connected socket when nothing listens at the other end. The next
+        // request connects the socket again.
         self.socket.connect(to).await.map_err(undelivered)?;
         self.forget_errors().map_err(failed)?;
 
@@ -200,8 +206,8 @@ impl Client {
         Ok((answer, arrived - sent))
     }
 
-    /// What the network says of an earlier request is not of the next one. The kernel's list of such
-    /// messages takes room from answers.
+    /// Discards errors that belong to an earlier request. The kernel's list of such errors takes
+    /// buffer space away from answers.
     fn forget_errors(&self) -> io::Result<()> {
         let (mut octets, flags) =
             ([0; MAX_DATAGRAM], MsgFlags::MSG_ERRQUEUE | MsgFlags::MSG_DONTWAIT);
@@ -216,7 +222,8 @@ impl Client {
     }
 
     async fn receive(&self, from: SocketAddr, node_address: u8) -> io::Result<(Answer, Instant)> {
-        // One octet more than fits: a longer datagram shows as too long instead of being cut.
+        // The buffer has one octet more than the longest datagram. So a longer datagram is seen as
+        // too long, and is not cut.
         let mut octets = [0; MAX_DATAGRAM + 1];
         loop {
             let (length, sender) = self.socket.recv_from(&mut octets).await?;
@@ -234,15 +241,15 @@ impl Client {
 }
 
 impl Target {
-    /// The answer of this node to this endpoint, if that is what the octets are. The other two
-    /// destination elements may be new: a server gives a dynamic client IPNetID 125 and a node
-    /// address of its own choice (R-40, PAS 9).
+    /// The answer of this node to this endpoint, if the octets are one. The other two destination
+    /// elements may be new: a server gives a dynamic client IPNetID 125 and a node address that the
+    /// server chooses (R-40, PAS 9).
     fn recognise(&self, octets: &[u8], node_address: u8, endpoint: u8) -> Option<Answer> {
         let response = Datagram::parse(octets, self.header).ok()?;
         let destinations: Elements = response.route().destinations().collect();
         let sources: Elements = response.route().sources().collect();
         let to_us = matches!(destinations[..], [_, _, last] if last == endpoint);
-        // R-34, PAS 6.1.1.1.1.5: a response is unconfirmed.
+        // A response is unconfirmed (R-34, PAS 6.1.1.1.1.5).
         let from_node = matches!(sources[..], [_, node, .., NCNA] if node == node_address);
         // R-39, PAS 9.
         let password_came_back = match (&self.password, response.password()) {

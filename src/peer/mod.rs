@@ -1,8 +1,8 @@
 //! The two ends of an exchange: a simulated P-NET server node and a remote client.
 //!
-//! The demo, the tests and the commands `node` and `request` talk through them; the router itself
-//! uses nothing of this. Invariant: a node is silent on everything but a sound request to its own
-//! address, on the Secure port with its password.
+//! The demo, the tests and the commands `node` and `request` use them. The router itself does not.
+//! Invariant: a node answers only correct requests to its own address, and on the Secure port only
+//! those with its password.
 
 mod client;
 mod node;

@@ -1,9 +1,9 @@
 //! A simulated P-NET server node on its Normal and Secure UDP ports.
 //!
-//! It keeps no IPNetTable and forwards nothing: what lies beyond it on a request's route it plays
-//! itself. A request is judged and answered by [`NodeSettings::answer`], without a socket; the rest
-//! moves octets. Invariant: silent on everything that is not a confirmed request to its own node
-//! address, with its password when it comes to the Secure port.
+//! The node has no IPNetTable and forwards nothing. It also plays the nodes that lie behind it on a
+//! request's route. [`NodeSettings::answer`] checks and answers a request without a socket. The
+//! rest of the code only receives and sends. Invariant: the node answers only a confirmed request
+//! to its own node address, and on the Secure port only one with its password.
 
 use std::io;
 use std::net::Ipv4Addr;
@@ -20,7 +20,7 @@ use crate::pnet::wire::{
     NCNA, Password, RouteBuf,
 };
 
-/// Makes a response's data out of the node address and the request's data.
+/// Makes the data of a response from the node address and the data of the request.
 pub type Reply = fn(node_address: u8, request: &[u8]) -> ArrayVec<u8, MAX_DATA>;
 
 /// The [`Reply`] that sends the request's data back.
@@ -28,26 +28,27 @@ pub fn echo(_node_address: u8, request: &[u8]) -> ArrayVec<u8, MAX_DATA> {
     request.iter().copied().take(MAX_DATA).collect()
 }
 
-/// What a simulated node is like.
+/// The settings of a simulated node.
 #[derive(Clone, Debug)]
 pub struct NodeSettings {
-    /// Its address; the last octet is its node address (R-12, PAS 7).
+    /// The IP address. Its last octet is the node address (R-12, PAS 7).
     pub address: Ipv4Addr,
-    /// Where it takes requests without a password; 0: any free port.
+    /// The Normal port, which takes requests without a password. 0 means any free port.
     pub normal_port: u16,
-    /// Where it takes requests with its password alone; 0: any free port.
+    /// The Secure port, which takes only requests with the node's password. 0 means any
+    /// free port.
     pub secure_port: u16,
-    /// What every datagram begins with.
+    /// The header with which every datagram begins.
     pub header: Header,
-    /// Opens the Secure port.
+    /// The password for the Secure port.
     pub password: Password,
-    /// How long each port works on a request; others wait in its socket meanwhile.
+    /// How long each port works on a request. Other requests wait in the port's socket until then.
     pub delay: Duration,
-    /// What it answers.
+    /// Makes the data of the answers.
     pub reply: Reply,
 }
 
-/// What a node has seen so far. At rest, received = answered + refused.
+/// The datagrams of a node so far. When no request is being handled, received = answered + refused.
 #[derive(Debug, Default)]
 pub struct NodeCounts {
     received: AtomicU64,
@@ -66,7 +67,7 @@ impl NodeCounts {
         self.answered.load(Relaxed)
     }
 
-    /// Datagrams met with silence.
+    /// Datagrams that got no response.
     pub fn refused(&self) -> u64 {
         self.refused.load(Relaxed)
     }
@@ -82,19 +83,19 @@ pub struct ServerNode {
 }
 
 impl ServerNode {
-    /// Opens the node's ports. Nothing is answered before [`serve`](Self::serve).
+    /// Opens the node's ports. The node answers nothing before [`serve`](Self::serve).
     pub fn bind(mut settings: NodeSettings) -> Result<Self, ListenError> {
         let normal = bind(settings.address, &mut settings.normal_port)?;
         let secure = bind(settings.address, &mut settings.secure_port)?;
         Ok(Self { settings, normal, secure, counts: Arc::default() })
     }
 
-    /// What the node is like, with the ports that it got.
+    /// The node's settings, with the ports that the node got.
     pub fn settings(&self) -> &NodeSettings {
         &self.settings
     }
 
-    /// Its counts, which go on counting while it serves.
+    /// The node's counts. They go on counting while the node serves.
     pub fn counts(&self) -> Arc<NodeCounts> {
         Arc::clone(&self.counts)
     }
@@ -109,7 +110,8 @@ impl ServerNode {
     }
 
     async fn serve_port(&self, socket: &UdpSocket, port: Port) -> io::Result<()> {
-        // One octet more than fits: a longer datagram shows as too long instead of being cut.
+        // The buffer has one octet more than the longest datagram. So a longer datagram is seen as
+        // too long, and is not cut.
         let mut request = [0; MAX_DATAGRAM + 1];
         let mut response = [0; MAX_DATAGRAM];
         loop {
@@ -122,7 +124,7 @@ impl ServerNode {
                     if !self.settings.delay.is_zero() {
                         tokio::time::sleep(self.settings.delay).await;
                     }
-                    // A14: from the port that received.
+                    // The response leaves from the port that received the request (A14).
                     match socket.send_to(&response[..length], client).await {
                         Ok(_) => &self.counts.answered,
                         Err(_) => &self.counts.refused,
@@ -147,11 +149,13 @@ impl NodeSettings {
         self.address.octets()[3]
     }
 
-    /// Writes the response to a request and says how long it is; none when the node stays silent.
+    /// Writes the response to a request and returns its length. `None` when the node does not
+    /// answer.
     fn answer(&self, port: Port, octets: &[u8], response: &mut [u8]) -> Option<usize> {
         let request = Datagram::parse(octets, self.header).ok()?;
         let route = request.route();
-        // R-33, PAS 5.4.1.2 a; nothing is answered to a broadcast, so BNA and SNA pass it by too.
+        // Broadcasts get no answer, so requests to BNA and SNA are ignored too (R-33, PAS 5.4.1.2
+        // a).
         if route.node_address() != Some(self.node_address()) {
             return None;
         }
@@ -162,23 +166,24 @@ impl NodeSettings {
         if !open {
             return None;
         }
-        // R-28, PAS 5.7.1.6: only a confirmed request is answered, so no response ever is.
+        // Only a confirmed request gets an answer, so a response never does (R-28, PAS 5.7.1.6).
         let indication = Indication::parse(&request).filter(|indication| indication.confirm)?;
         let response_octets = (self.reply)(self.node_address(), indication.dlsdu);
         let route = self.response_route(route.ip_net_id(), indication.dl_route).ok()?;
         DatagramRepr {
             route: route.as_route(),
             data_octets: &response_octets,
-            // Control-status as it came; so the password (R-39, PAS 9).
+            // Control-status and password stay as they came (password: R-39, PAS 9).
             ..DatagramRepr::parse(&request)
         }
         .emit(response)
         .ok()
     }
 
-    /// The way back, and the way to the responder with NCNA last, for a response is unconfirmed
-    /// (R-34, PAS 6.1.1.1.1.5 to 7; R-30, PAS Table 1). The IPNetID is the request's: the node has
-    /// no IPNetTable that says otherwise.
+    /// The route of the response: the way back to the requester, then the way to the responder.
+    /// NCNA comes last, because a response is unconfirmed (R-34, PAS 6.1.1.1.1.5 to 7; R-30, PAS
+    /// Table 1). The IPNetID is that of the request: the node has no IPNetTable that could give
+    /// another one.
     fn response_route(
         &self,
         ip_net_id: Option<u8>,

@@ -1,4 +1,4 @@
-//! Node and client against each other, over loopback sockets.
+//! Tests node and client against each other, over loopback sockets.
 
 use std::net::{Ipv4Addr, SocketAddr};
 use std::sync::Arc;
@@ -10,12 +10,13 @@ use super::*;
 use crate::pnet::wire::{Header, Password};
 
 const PASSWORD: &[u8; 8] = b"PNETPASS";
-/// Longer than any answer takes here.
+/// Longer than any answer in these tests takes.
 const LONG: Duration = Duration::from_secs(5);
 /// How long a client waits for an answer that must not come.
 const SHORT: Duration = Duration::from_millis(100);
 
-/// PAS Figure 10's request with four data octets, flags in the data-field-format and the password.
+/// The request of PAS Figure 10, with four data octets, with flags in the data-field-format, and
+/// with the password.
 const FIGURE_10: [u8; 26] = [
     0x02, 0x00, 0x00, 0x00, // header
     0x0B, 0x04, 0x05, 0x02, 0x21, 0x8B, 0x83, 0x9F, // route
@@ -23,7 +24,8 @@ const FIGURE_10: [u8; 26] = [
     b'P', b'N', b'E', b'T', b'P', b'A', b'S', b'S',
 ];
 
-/// Back to 11, 3, 31 from 11, 4, 2, 33 with NCNA last: eight elements, six behind the length.
+/// The answer goes back to 11, 3, 31. It comes from 11, 4, 2, 33, with NCNA last. These are eight
+/// elements, six of them behind the route length.
 const ANSWER_TO_FIGURE_10: [u8; 27] = [
     0x02, 0x00, 0x00, 0x00, // header
     0x0B, 0x03, 0x06, 0x1F, 0x8B, 0x84, 0x82, 0xA1, 0x80, // route
@@ -31,7 +33,7 @@ const ANSWER_TO_FIGURE_10: [u8; 27] = [
     b'P', b'N', b'E', b'T', b'P', b'A', b'S', b'S',
 ];
 
-/// Node 4, serving, on free ports of an address that no other test uses.
+/// Node 4, serving on free ports of an address that no other test uses.
 struct Node {
     settings: NodeSettings,
     counts: Arc<NodeCounts>,
@@ -54,14 +56,14 @@ impl Node {
         Self { settings, counts }
     }
 
-    /// A client whose start port makes node 4's public port the given one.
+    /// A client with a start port that makes the given port the public port of node 4.
     async fn client(&self, port: u16, password: Option<&[u8; 8]>) -> Client {
         let password = password.map(|octets| Password::new(*octets));
         let target = Target::new(self.settings.address.into(), port - 4, password);
         Client::bind(target).await.unwrap()
     }
 
-    /// What comes back for these octets, and whence.
+    /// Sends these octets, and returns the answer and its sender.
     async fn raw(&self, port: u16, octets: &[u8]) -> (Vec<u8>, SocketAddr) {
         let socket = UdpSocket::bind("127.0.0.1:0").await.unwrap();
         socket.send_to(octets, (self.settings.address, port)).await.unwrap();
@@ -71,7 +73,7 @@ impl Node {
         (answer[..length].to_vec(), from)
     }
 
-    /// Received, answered, refused.
+    /// The node's counts: received, answered, refused.
     fn counts(&self) -> (u64, u64, u64) {
         (self.counts.received(), self.counts.answered(), self.counts.refused())
     }
@@ -85,11 +87,12 @@ fn request(data_octets: &[u8]) -> Request<'_> {
 async fn the_answer_to_figure_10_is_right_octet_for_octet() {
     let node = Node::serving(1).await;
     let (secure, normal) = (node.settings.secure_port, node.settings.normal_port);
-    // A14: from the port that received; R-39: with the password that came.
+    // The answer comes from the port that received the request (A14), with the password that came
+    //
     let answer = node.raw(secure, &FIGURE_10).await;
     assert_eq!(answer.0, ANSWER_TO_FIGURE_10);
     assert_eq!(answer.1, SocketAddr::from((node.settings.address, secure)));
-    // The Normal port asks for no password.
+    // The Normal port needs no password.
     let answer = node.raw(normal, &FIGURE_10[..18]).await;
     assert_eq!(answer.0, ANSWER_TO_FIGURE_10[..19]);
     assert_eq!(answer.1, SocketAddr::from((node.settings.address, normal)));
@@ -186,7 +189,7 @@ async fn everything_else_meets_silence() {
 async fn a_route_with_no_room_for_ncna_meets_silence() {
     let node = Node::serving(6).await;
     let mut client = node.client(node.settings.normal_port, None).await;
-    // 2 + 23 destinations and 3 sources: 28 elements, and the NCNA makes 29.
+    // 2 + 23 destinations and 3 sources are 28 elements. The NCNA makes 29.
     let fits = Request { beyond: &[1; 23], ..request(&[1, 2, 3]) };
     client.exchange(&fits, LONG).await.unwrap();
     let full = Request { beyond: &[1; 24], ..fits };
@@ -206,19 +209,19 @@ async fn a_wrong_password_gets_no_answer_and_the_client_says_so() {
     assert_eq!(error.to_string(), "no answer within 100ms");
 }
 
-/// Known at once, however long the client would wait; and the next request goes its own way.
+/// The client learns this at once, however long it would wait. The next request still works.
 #[tokio::test]
 async fn a_client_is_told_where_nothing_listens() {
     const FOR_EVER: Duration = Duration::from_secs(3600);
     for address in ["127.17.8.4", "::1"] {
         let address: std::net::IpAddr = address.parse().unwrap();
-        // A machine may be without IPv6.
+        // The machine may have no IPv6.
         let Ok(there) = UdpSocket::bind((address, 0)).await else { continue };
         let port = there.local_addr().unwrap().port();
         let mut client = Client::bind(Target::new(address, port - 4, None)).await.unwrap();
         let ask = |node_address| Request { node_address, ..request(&[1, 2, 3]) };
         for node_address in [5, 6, 5] {
-            // Nobody has these ports now; they may be lent to another test.
+            // No socket has these ports, unless the system has given one of them to another test.
             let error = client.exchange(&ask(node_address), FOR_EVER).await.unwrap_err();
             assert_eq!(error.to_string(), "nothing listens there");
         }
@@ -230,7 +233,7 @@ async fn a_client_is_told_where_nothing_listens() {
     }
 }
 
-/// Answers each request with the given responses to it, in their order.
+/// Answers each request with the responses that the function makes from it, in their order.
 async fn forger(responses: fn(&[u8]) -> Vec<Vec<u8>>) -> Client {
     let socket = UdpSocket::bind("127.0.0.1:0").await.unwrap();
     let port = socket.local_addr().unwrap().port();
@@ -247,7 +250,8 @@ async fn forger(responses: fn(&[u8]) -> Vec<Vec<u8>>) -> Client {
     Client::bind(Target::new(Ipv4Addr::LOCALHOST.into(), port - 4, password)).await.unwrap()
 }
 
-/// The answer to PAS Figure 10's request, to the endpoint of the request, with one octet changed.
+/// The answer to the request of PAS Figure 10, for the endpoint of the given request, with one
+/// octet changed.
 fn answer_to(request: &[u8], at: usize, to: u8) -> Vec<u8> {
     let mut answer = ANSWER_TO_FIGURE_10.to_vec();
     answer[7] = request[11] & 0x7F;
@@ -260,13 +264,13 @@ async fn a_client_passes_over_what_does_not_answer_its_request() {
     let mut client = forger(|request| {
         vec![
             answer_to(request, 0, 3),                // header
-            answer_to(request, 7, 99),               // another endpoint: an earlier request's
-            answer_to(request, 9, 0x85),             // another node's
-            answer_to(request, 12, 0x81),            // no response: it is confirmed
+            answer_to(request, 7, 99),               // endpoint of an earlier request
+            answer_to(request, 9, 0x85),             // another node
+            answer_to(request, 12, 0x81),            // confirmed, so not a response
             answer_to(request, 26, b'Z'),            // another password
             answer_to(request, 0, 2)[..19].to_vec(), // no password
             answer_to(request, 0, 2)[..26].to_vec(), // cut
-            answer_to(request, 15, 0xAA),            // the one
+            answer_to(request, 15, 0xAA),            // the right answer
         ]
     })
     .await;
@@ -276,7 +280,7 @@ async fn a_client_passes_over_what_does_not_answer_its_request() {
 
 #[tokio::test]
 async fn a_client_takes_a_response_to_its_net_125_address() {
-    // R-40, PAS 9: IPNetID 125 and a node address of the server's choice in the destination.
+    // The destination has IPNetID 125 and a node address that the server chose (R-40, PAS 9).
     let mut client = forger(|request| {
         let mut answer = answer_to(request, 4, 125);
         answer[5] = 17;
