@@ -1,5 +1,5 @@
 //! Reads the configuration file again while the relay runs. The new configuration comes into force
-//! or is refused. Either way the log says so. Only one reload runs at a time.
+//! or is refused. Either way, the log reports the result. Only one reload runs at a time.
 //!
 //! A thread that does nothing else reads the files, because they may be on a disk that is stuck.
 //! Then the reload is given up after a while, and its configuration never comes into force. Later

@@ -80,8 +80,8 @@ struct Manager {
 
 static MANAGER: OnceLock<Manager> = OnceLock::new();
 
-/// Connects to the manager, if there is one. Must be called before the confinement: after it, no
-/// socket can be connected to one with an abstract name. A socket that is connected already keeps
+/// Connects to the manager, if there is one. This has to happen before the confinement, which
+/// forbids connections to a socket with an abstract name. A socket that is connected already keeps
 /// working.
 pub fn connect() {
     let Some(name) = env::var_os("NOTIFY_SOCKET") else { return };

@@ -43,8 +43,8 @@ pub struct Target {
 }
 
 impl Target {
-    /// The net behind this address, with the IPNetIDs and the client's node address of PAS Figure
-    /// 10.
+    /// The net behind this address. IPNetIDs and the client's node address are those of PAS
+    /// Figure 10.
     pub fn new(address: IpAddr, start_port: u16, password: Option<Password>) -> Self {
         let header = Header::default();
         let (ip_net_id, own_ip_net_id, own_node_address) = (11, 11, 3);

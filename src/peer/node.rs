@@ -154,8 +154,7 @@ impl NodeSettings {
     fn answer(&self, port: Port, octets: &[u8], response: &mut [u8]) -> Option<usize> {
         let request = Datagram::parse(octets, self.header).ok()?;
         let route = request.route();
-        // Broadcasts get no answer, so requests to BNA and SNA are ignored too (R-33, PAS 5.4.1.2
-        // a).
+        // A broadcast gets no answer, so BNA and SNA are ignored too (R-33, PAS 5.4.1.2 a).
         if route.node_address() != Some(self.node_address()) {
             return None;
         }

@@ -1,5 +1,5 @@
-//! Landlock: restricts which files can be read. The process cannot reach anything else in the file
-//! system, open TCP connections, or act on other processes.
+//! Landlock: restricts which files the process can read. The rest of the file system, new TCP
+//! connections and other processes are out of its reach.
 
 use std::collections::BTreeSet;
 use std::fs;

@@ -36,8 +36,8 @@ pub enum Layer {
     /// No capability is left, not even if the process runs as root.
     Capabilities,
     /// Only the configuration, the password files and the process's own figures can be read.
-    /// Nothing can be written. No new TCP connection or TCP listener is possible. The process can
-    /// send no signal to another process.
+    /// Nothing can be written. The process can open no TCP connection and no new TCP listener. It
+    /// can send no signal to another process.
     Landlock,
     /// Only the system calls that a relay needs are left.
     Seccomp,

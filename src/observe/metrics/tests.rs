@@ -1,4 +1,4 @@
-//! Reads the text that a scraper gets with a parser of its own.
+//! Tests the text that a scraper gets. A parser of its own reads the text back.
 
 use std::collections::BTreeMap;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};

@@ -1,4 +1,4 @@
-//! A headless Chromium, told what to do over WebDriver (W3C) and asked what it shows.
+//! A headless Chromium. The tests control it over WebDriver (W3C) and ask it what it shows.
 
 use std::fs;
 use std::path::PathBuf;
@@ -8,20 +8,20 @@ use serde_json::{Value, json};
 
 use super::{Process, eventually, left_out};
 
-/// An accessibility checker, axe-core, as `.ci/run` puts it there.
+/// The accessibility checker axe-core, at the place where `.ci/run` puts it.
 const AXE: &str = concat!(env!("CARGO_TARGET_TMPDIR"), "/axe/axe_playwright_python/axe.min.js");
 const SCREENSHOTS: &str = concat!(env!("CARGO_TARGET_TMPDIR"), "/status-page");
 
-/// A browser with one window; ends when dropped.
+/// A browser with one window. It ends when it is dropped.
 #[derive(Debug)]
 pub(crate) struct Browser {
     session: String,
-    /// The driver, which ends its browser when the session ends.
+    /// The driver. It ends its browser when the session ends.
     _driver: Process,
 }
 
 impl Browser {
-    /// Starts one; none, and says so, where there is no chromedriver.
+    /// Starts a browser. Where there is no chromedriver, says so and returns `None`.
     pub(crate) fn start() -> Option<Self> {
         if Command::new("chromedriver").arg("--version").output().is_err() {
             left_out("chromedriver, of the package chromium-driver");
@@ -35,7 +35,8 @@ impl Browser {
             let (_, rest) = stdout.split_once("successfully on port ")?;
             Some(rest.split_once('.')?.0.to_owned())
         });
-        // Root, which tests are, has no sandbox of Chromium's; /dev/shm is small in containers.
+        // The tests run as root, and Chromium's own sandbox does not work for root. /dev/shm is
+        // small in containers.
         let arguments = ["--headless=new", "--no-sandbox", "--disable-dev-shm-usage"];
         let capabilities = json!({ "alwaysMatch": {
             "goog:chromeOptions": { "args": arguments },
@@ -51,7 +52,7 @@ impl Browser {
         self.say("url", json!({ "url": url }));
     }
 
-    /// A window of this size, of a phone or not, in this colour scheme.
+    /// Sets the size of the window, whether it is a phone's, and the colour scheme.
     pub(crate) fn look(&self, width: u16, height: u16, is_phone: bool, scheme: &str) {
         let size = json!({ "width": width, "height": height, "deviceScaleFactor": 1,
             "mobile": is_phone });
@@ -60,12 +61,12 @@ impl Browser {
         self.devtools("Emulation.setEmulatedMedia", &json!({ "features": [scheme] }));
     }
 
-    /// What the body of a function returns, run in the page.
+    /// Runs the body of a function in the page and returns its result.
     pub(crate) fn run(&self, body: &str) -> Value {
         self.say("execute/sync", json!({ "script": body, "args": [] }))
     }
 
-    /// The text that is shown of the first element that fits; empty when none does.
+    /// The visible text of the first element that matches. Empty if no element matches.
     pub(crate) fn text(&self, selector: &str) -> String {
         let text = self.run(&format!(
             "const found = document.querySelector(`{selector}`);
@@ -74,7 +75,7 @@ impl Browser {
         text.as_str().unwrap().to_owned()
     }
 
-    /// Waits until an element shows this.
+    /// Waits until an element shows this text.
     #[track_caller]
     pub(crate) fn expect(&self, selector: &str, text: &str) {
         let mut shown = String::new();
@@ -98,14 +99,14 @@ impl Browser {
         self.say("actions", json!({ "actions": [keyboard] }));
     }
 
-    /// Errors in the console since it was last asked.
+    /// The errors in the console since the last call.
     pub(crate) fn errors(&self) -> Vec<String> {
         let log = self.say("se/log", json!({ "type": "browser" }));
         let errors = log.as_array().unwrap().iter().filter(|line| line["level"] == "SEVERE");
         errors.map(|line| line["message"].as_str().unwrap().to_owned()).collect()
     }
 
-    /// Writes what the whole page looks like to a file, for people.
+    /// Writes a picture of the whole page to a file, for people to look at.
     pub(crate) fn screenshot(&self, name: &str) {
         let whole = json!({ "captureBeyondViewport": true });
         let shot = self.devtools("Page.captureScreenshot", &whole);
@@ -120,8 +121,8 @@ impl Browser {
         println!("{}", path.display());
     }
 
-    /// What axe-core has to object to the page as it is: rules and the elements that break them.
-    /// None, and says so, where it is not there.
+    /// The faults that axe-core finds in the page: rules, and the elements that break them. Where
+    /// axe-core is not installed, says so and returns `None`.
     pub(crate) fn accessibility_faults(&self) -> Option<Vec<String>> {
         let Ok(axe) = fs::read_to_string(AXE) else {
             left_out(&format!("axe-core in {AXE}; see .ci/run"));
@@ -146,7 +147,7 @@ impl Browser {
 
 impl Drop for Browser {
     fn drop(&mut self) {
-        // Without this the browser would outlive its driver.
+        // Without this call the browser would outlive its driver.
         let _ = ureq::delete(&self.session).call();
     }
 }

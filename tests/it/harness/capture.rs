@@ -1,7 +1,7 @@
-//! A packet capture of one network namespace, down to UDP payloads.
+//! Captures the packets of one network namespace, with their UDP payloads.
 //!
-//! The kernel hands a packet to the capture before its receiver has it, so what is taken down is
-//! complete as soon as the receiver has seen the last one.
+//! The kernel hands a packet to the capture before it hands it to the receiver. So the capture is
+//! complete as soon as the receiver has seen the last packet.
 
 use std::io::{ErrorKind, Read};
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
@@ -12,13 +12,13 @@ use std::time::Duration;
 
 use socket2::{Domain, Protocol, Socket, Type};
 
-/// Every protocol, in network order: <linux/if_ether.h>.
+/// Every protocol, in network byte order: <linux/if_ether.h>.
 const ETH_P_ALL: i32 = 0x0003_u16.to_be() as i32;
 const ICMP: u8 = 1;
 const UDP: u8 = 17;
 const ICMP_V6: u8 = 58;
 
-/// A packet that was seen.
+/// A captured packet.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum Packet {
     Udp {
@@ -26,12 +26,12 @@ pub(crate) enum Packet {
         to: SocketAddr,
         octets: Vec<u8>,
     },
-    /// ICMP says that nobody listens on a port.
+    /// An ICMP message which says that nobody listens on a port.
     PortUnreachable {
         from: IpAddr,
         to: IpAddr,
     },
-    /// Any other ICMP message, by its type.
+    /// Any other ICMP message, with its type.
     Icmp {
         from: IpAddr,
         to: IpAddr,
@@ -39,7 +39,7 @@ pub(crate) enum Packet {
     },
 }
 
-/// A capture under way.
+/// A capture that is running.
 #[derive(Debug)]
 pub(crate) struct Capture {
     seen: Arc<Mutex<Vec<Packet>>>,
@@ -48,7 +48,7 @@ pub(crate) struct Capture {
 }
 
 impl Capture {
-    /// Begins in the calling thread's network namespace.
+    /// Begins a capture in the calling thread's network namespace.
     pub(crate) fn start() -> Self {
         let protocol = Some(Protocol::from(ETH_P_ALL));
         let socket = Socket::new(Domain::PACKET, Type::DGRAM, protocol).unwrap();
@@ -60,12 +60,12 @@ impl Capture {
         Self { seen, ended, reader: Some(reader) }
     }
 
-    /// What was seen so far, a little late.
+    /// The packets captured so far. The newest ones may still be missing.
     pub(crate) fn so_far(&self) -> Vec<Packet> {
         self.seen.lock().unwrap().clone()
     }
 
-    /// Ends it, and tells all that was seen.
+    /// Ends the capture and returns all packets.
     pub(crate) fn end(mut self) -> Vec<Packet> {
         self.ended.store(true, Relaxed);
         self.reader.take().unwrap().join().unwrap();
@@ -82,13 +82,14 @@ impl Drop for Capture {
 fn take_down(mut socket: Socket, seen: &Mutex<Vec<Packet>>, ended: &AtomicBool) {
     let mut octets = [0; 2048];
     loop {
-        // Asked before reading: what was there when the end came is read.
+        // The end is checked before the read, so that packets that came before the end are still
+        // read.
         let last = ended.load(Relaxed);
         match socket.read(&mut octets) {
             Ok(length) => seen.lock().unwrap().extend(Packet::parse(&octets[..length])),
             Err(error) if error.kind() == ErrorKind::WouldBlock && last => return,
             Err(error) if error.kind() == ErrorKind::WouldBlock => {}
-            // An interface went down; a process was stopped or traced meanwhile.
+            // An interface went down, or a process was stopped or traced in the meantime.
             Err(error)
                 if matches!(error.kind(), ErrorKind::NetworkDown | ErrorKind::Interrupted) => {}
             Err(error) => panic!("{error}"),
@@ -97,7 +98,7 @@ fn take_down(mut socket: Socket, seen: &Mutex<Vec<Packet>>, ended: &AtomicBool) 
 }
 
 impl Packet {
-    /// UDP and ICMP; the rest is how hosts find each other.
+    /// Reads UDP and ICMP packets. The others only help hosts to find each other.
     fn parse(octets: &[u8]) -> Option<Self> {
         let (from, to, protocol, body): (IpAddr, IpAddr, u8, &[u8]) = match octets[0] >> 4 {
             4 => {
@@ -119,7 +120,7 @@ impl Packet {
                 Some(Self::Udp { from, to, octets })
             }
             (ICMP, [3, 3, ..]) | (ICMP_V6, [1, 4, ..]) => Some(Self::PortUnreachable { from, to }),
-            // From 130 on: neighbours and routers of IPv6.
+            // The types from 130 on serve to find neighbours and routers in IPv6.
             (ICMP_V6, [130..=255, ..]) => None,
             (ICMP | ICMP_V6, &[kind, ..]) => Some(Self::Icmp { from, to, kind }),
             _ => None,

@@ -1,7 +1,8 @@
-//! A copy of this machine, started: its files, copied where they are written; network, processes
-//! and control groups of its own; systemd as process 1.
+//! A running copy of this machine. Its files are copied when they are written. It has its own
+//! network, processes and control groups, and systemd as process 1.
 //!
-//! What is done in it leaves no trace outside. Of systemd's many services none is started.
+//! Nothing that a test does in the copy leaves a trace outside. None of the many services of
+//! systemd is started.
 
 use std::fs;
 use std::path::Path;
@@ -13,7 +14,7 @@ use tempfile::TempDir;
 
 use super::{Process, eventually};
 
-/// Run in a mount and network namespace of its own, in an empty folder.
+/// This script runs in its own mount and network namespace, in an empty folder.
 const BUILD: &str = r#"
 set -eu
 ip link set lo up
@@ -34,7 +35,7 @@ echo $$ > cgroup/cgroup.procs
 find $own -depth -type d -exec rmdir {} +
 "#;
 
-/// Run as the copy's process 1.
+/// This script runs as process 1 of the copy.
 const BOOT: &str = r#"
 set -eu
 cd root
@@ -78,7 +79,7 @@ pub(crate) struct Machine {
 }
 
 impl Machine {
-    /// Starts one; tells why that is not possible.
+    /// Starts a copy. Returns the reason if that is not possible.
     pub(crate) fn start() -> Result<Self, String> {
         if !Path::new("/lib/systemd/systemd").exists() {
             return Err("systemd, of the package of that name".to_owned());
@@ -91,7 +92,7 @@ impl Machine {
             if builder.has_ended() {
                 return Some(Err(format!("root, for a machine to test on: {}", builder.stderr())));
             }
-            // It runs `unshare`, which runs the copy's first process.
+            // The builder runs `unshare`, which runs the copy's first process.
             let first = child_of(child_of(builder.id() as i32)?)?;
             let name = fs::read_to_string(format!("/proc/{first}/comm")).ok()?;
             (name.trim() == "systemd").then_some(Ok(first))
@@ -105,7 +106,7 @@ impl Machine {
         Ok(machine)
     }
 
-    /// A command that runs in it.
+    /// A command that runs in the copy.
     pub(crate) fn command(&self, command: &[&str]) -> Command {
         let mut inside = Command::new("nsenter");
         inside.args(["--target", &self.first_process.to_string(), "--all", "--"]).args(command);
@@ -113,12 +114,12 @@ impl Machine {
         inside
     }
 
-    /// How a command went in it.
+    /// Runs a command in the copy and returns its output and status.
     pub(crate) fn output(&self, command: &[&str]) -> Output {
         self.command(command).output().unwrap()
     }
 
-    /// Runs a command in it that has to go well, and tells what it prints.
+    /// Runs a command in the copy and returns what it prints. The command has to succeed.
     #[track_caller]
     pub(crate) fn run(&self, command: &[&str]) -> String {
         let output = self.output(command);
@@ -126,13 +127,13 @@ impl Machine {
         String::from_utf8(output.stdout).unwrap()
     }
 
-    /// Runs a line of the shell in it.
+    /// Runs a line of the shell in the copy.
     #[track_caller]
     pub(crate) fn shell(&self, line: &str) -> String {
         self.run(&["sh", "-c", line])
     }
 
-    /// What its services have said.
+    /// The log lines of the copy's services.
     pub(crate) fn journal(&self) -> String {
         let output = self.output(&["journalctl", "--output=cat", "--no-pager"]);
         String::from_utf8_lossy(&output.stdout).into_owned()
@@ -141,7 +142,7 @@ impl Machine {
 
 impl Drop for Machine {
     fn drop(&mut self) {
-        // Takes all others of the copy along; then its builder tidies up.
+        // All other processes of the copy end with this one. Then the builder cleans up.
         let _ = kill(Pid::from_raw(self.first_process), Signal::SIGKILL);
         self.builder.status();
     }

@@ -1,8 +1,8 @@
-//! What `/metrics` says, to be asked by name and labels.
+//! The samples of `/metrics`, which tests look up by name and labels.
 
 use std::collections::BTreeMap;
 
-/// One scrape.
+/// The samples of one scrape.
 #[derive(Debug)]
 pub(crate) struct Metrics(Vec<Sample>);
 
@@ -19,7 +19,7 @@ impl Metrics {
         Self(text.lines().filter(|line| !line.starts_with('#')).map(Sample::parse).collect())
     }
 
-    /// The sum of a family's samples that have these labels; panics when there are none.
+    /// The sum of a family's samples that have these labels. Panics when there are none.
     pub(crate) fn sum(&self, name: &str, labels: &[(&str, &str)]) -> u64 {
         let has = |sample: &&Sample| {
             sample.name == name && labels.iter().all(|(key, value)| sample.label(key) == *value)
@@ -29,7 +29,7 @@ impl Metrics {
         samples.iter().sum::<f64>() as u64
     }
 
-    /// What was dropped: direction, reason and how often, without those at 0.
+    /// How many datagrams were dropped, by direction and drop reason. Reasons at 0 are left out.
     pub(crate) fn drops(&self) -> BTreeMap<(String, String), u64> {
         let mut drops = BTreeMap::new();
         let dropped = |sample: &&Sample| sample.name == "pnet_nat_dropped_datagrams_total";
@@ -40,7 +40,7 @@ impl Metrics {
         drops
     }
 
-    /// Counters of this scrape that are behind those of an earlier one.
+    /// The counters that are smaller in this scrape than in an earlier one.
     pub(crate) fn behind(&self, earlier: &Self) -> Vec<String> {
         let counts = |sample: &&Sample| {
             ["_total", "_bucket", "_count", "_sum"].iter().any(|end| sample.name.ends_with(end))
@@ -55,8 +55,8 @@ impl Metrics {
         earlier.0.iter().filter(counts).filter_map(behind).collect()
     }
 
-    /// Where the law of the counters does not hold: received = forwarded + dropped, for every net,
-    /// node and direction, strays included.
+    /// The places where the law of the counters does not hold: received = forwarded + dropped, for
+    /// every net, node and direction. Strays are included.
     pub(crate) fn breaches(&self) -> Vec<String> {
         let mut balances: BTreeMap<[&str; 3], f64> = BTreeMap::new();
         for sample in &self.0 {
@@ -78,7 +78,7 @@ impl Metrics {
 }
 
 impl Sample {
-    /// `name{label="value",…} 1`; no label of ours holds a comma or a quote.
+    /// Reads `name{label="value",…} 1`. No label of the relay contains a comma or a quote.
     fn parse(line: &str) -> Self {
         let (series, value) = line.rsplit_once(' ').expect(line);
         let (name, labels) = series.split_once('{').unwrap_or((series, "}"));

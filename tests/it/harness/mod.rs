@@ -1,8 +1,8 @@
-//! What the scenarios are made of: a relay as a process, simulated servers and clients as sockets,
+//! The tools of the scenarios: a relay as a process, simulated servers and clients as sockets, and
 //! octets written by hand.
 //!
-//! Whatever is waited for is polled, with one patience for all. Invariant: what was started ends
-//! with its owner, also when the test fails.
+//! To wait for something, a scenario polls for it, always with the same time limit. Invariant:
+//! whatever was started ends with its owner, even when the test fails.
 
 mod browser;
 mod capture;
@@ -37,10 +37,10 @@ pub(crate) use somebody::Somebody;
 pub(crate) use terminal::Terminal;
 pub(crate) use yaml::{TOOLS, has_yaml, yaml};
 
-/// How long something may take that should take no time: a busy machine is not a fault.
+/// How long a step may take that should take no time. A busy machine is not a fault.
 pub(crate) const PATIENCE: Duration = Duration::from_secs(20);
 
-/// Looks until there is something to find.
+/// Calls `probe` until it finds something, and returns that.
 pub(crate) fn eventually<T>(what: &str, mut probe: impl FnMut() -> Option<T>) -> T {
     let end = Instant::now() + PATIENCE;
     loop {
@@ -52,13 +52,14 @@ pub(crate) fn eventually<T>(what: &str, mut probe: impl FnMut() -> Option<T>) ->
     }
 }
 
-/// Lets time pass, for what can only be seen by its absence.
+/// Lets time pass. A test needs this only to see that nothing happens.
 #[expect(clippy::disallowed_methods, reason = "the one place where tests sleep")]
 pub(crate) fn pause(time: Duration) {
     std::thread::sleep(time);
 }
 
-/// Says that it is over, when dropped: threads that wait for it end also when the test fails.
+/// Sets the flag when it is dropped. So threads that wait for the flag end even when the test
+/// fails.
 #[derive(Debug)]
 pub(crate) struct Over<'a>(pub(crate) &'a AtomicBool);
 
@@ -68,14 +69,15 @@ impl Drop for Over<'_> {
     }
 }
 
-/// Says that a scenario is left out for want of something; fails where all have to run.
+/// Says that a scenario is left out because something is missing. Fails where all scenarios have to
+/// run.
 pub(crate) fn left_out(want: &str) {
     let all = ["all", "nightly"].contains(&tests_wanted().as_str());
     assert!(!all, "PNET_NAT_TESTS={}, and there is a want: {want}", tests_wanted());
     println!("left out: {want}");
 }
 
-/// Whether the kernel's packet filter can be told what to do; says so where it cannot.
+/// Whether nft can control the kernel's packet filter. Says so if it cannot.
 pub(crate) fn has_nft() -> bool {
     let has = std::process::Command::new("nft").arg("--version").output().is_ok();
     if !has {
@@ -84,7 +86,7 @@ pub(crate) fn has_nft() -> bool {
     has
 }
 
-/// Whether what takes minutes is to run as well; says so where it is not.
+/// Whether tests that take minutes have to run as well. Says so if not.
 pub(crate) fn nightly() -> bool {
     let nightly = tests_wanted() == "nightly";
     if !nightly {

@@ -1,7 +1,9 @@
-//! Three network namespaces: Internet – edge – plant, cabled, addressed, and gone when dropped.
+//! Three network namespaces, Internet – edge – plant. They are connected, have addresses, and are
+//! removed when they are dropped.
 //!
-//! The edge does not forward, so whatever crosses it was carried by the relay. Invariant: a thread
-//! that enters a namespace ends there; sockets and processes that it makes stay in it.
+//! The edge does not forward packets, so everything that crosses it went through the relay.
+//! Invariant: a thread that enters a namespace also ends there. Sockets and processes that the
+//! thread makes stay in the namespace.
 
 use std::fs::{self, File};
 use std::io::Write;
@@ -17,7 +19,7 @@ use socket2::{Domain, Protocol, Socket, Type};
 use super::pcap::packet;
 use super::{Capture, Peer, Place, left_out};
 
-/// The edge's public addresses are the .1 and ::1 of the same networks.
+/// The edge's public addresses are .1 and ::1 in the same networks.
 const INTERNET: &str = "
     address add 198.51.100.7/24 dev eth0
     address add 198.51.100.8/24 dev eth0
@@ -33,7 +35,7 @@ const EDGE: &str = "
     address add 172.17.17.254/24 dev eth1
     link set eth1 up";
 
-/// Nodes 1 to 4 and 33, and a client among them.
+/// The nodes 1 to 4 and 33, and a client in the same subnet.
 const PLANT: &str = "
     address add 172.17.17.1/24 dev eth0
     address add 172.17.17.2/24 dev eth0
@@ -43,7 +45,7 @@ const PLANT: &str = "
     address add 172.17.17.100/24 dev eth0
     route add default via 172.17.17.254 src 172.17.17.100";
 
-/// The same as in the annotated configuration.
+/// The start port in the annotated configuration.
 const START_PORT: u16 = 40000;
 
 /// The three namespaces.
@@ -55,7 +57,7 @@ pub(crate) struct Network {
 }
 
 impl Network {
-    /// Builds them; says so where that is not possible.
+    /// Builds the namespaces. Where that is not possible, says so and returns `None`.
     pub(crate) fn build() -> Option<Self> {
         let made = Namespace::new("inet").and_then(|internet| {
             let (edge, plant) = (Namespace::new("edge")?, Namespace::new("plant")?);
@@ -73,7 +75,7 @@ impl Network {
         }
     }
 
-    /// Runs a scenario in the edge, where the relay is.
+    /// Runs a scenario at the edge, where the relay is.
     pub(crate) fn at_the_edge(&self, scenario: impl FnOnce() + Send) {
         self.edge.enter(scenario);
     }
@@ -88,7 +90,8 @@ impl Network {
         self.internet.peer((address.parse::<IpAddr>().unwrap(), 0).into())
     }
 
-    /// A relay at the edge, to be started from there: in front of the nodes, for every client.
+    /// The place of a relay at the edge, in front of the nodes, open to every client. The relay has
+    /// to be started from the edge.
     pub(crate) fn place<'a>(&self, listen: &'a str) -> Place<'a> {
         Place {
             listen,
@@ -99,7 +102,7 @@ impl Network {
         }
     }
 
-    /// Where a node is reached from outside (R-10).
+    /// The public address and port of a node (R-10).
     pub(crate) fn public(&self, address: &str, node_address: u8) -> SocketAddr {
         (address.parse::<IpAddr>().unwrap(), START_PORT + u16::from(node_address)).into()
     }
@@ -118,7 +121,8 @@ impl Network {
         for (namespace, commands) in all {
             namespace.ip(commands);
         }
-        // As on real lines, no datagrams that travel as one: they are lost and counted one by one.
+        // On a real line each datagram travels alone. Without this setting, several would travel as
+        // one, and would be lost and counted as one.
         self.edge.ip("link set eth0 gso_max_segs 1\nlink set eth1 gso_max_segs 1");
         self.edge.enter(|| {
             for switch in ["ipv4/ip_forward", "ipv6/conf/all/forwarding"] {
@@ -138,7 +142,7 @@ pub(crate) struct Namespace {
 }
 
 impl Namespace {
-    /// Makes one; tells why that is not possible.
+    /// Makes a namespace. Returns the reason if that is not possible.
     pub(crate) fn new(place: &str) -> Result<Self, String> {
         static NEXT: AtomicU32 = AtomicU32::new(0);
         let name = format!("pnet-nat-{}-{}-{place}", process::id(), NEXT.fetch_add(1, Relaxed));
@@ -150,7 +154,7 @@ impl Namespace {
         Ok(Self { name })
     }
 
-    /// Its name, for commands that take one.
+    /// The name of the namespace, for commands that need it.
     pub(crate) fn name(&self) -> &str {
         &self.name
     }
@@ -167,13 +171,13 @@ impl Namespace {
         })
     }
 
-    /// Runs commands of `ip`, one a line.
+    /// Runs commands of `ip`, one in each line.
     #[track_caller]
     pub(crate) fn ip(&self, commands: &str) {
         self.batch(&["ip", "-batch", "-"], commands);
     }
 
-    /// Runs commands of `tc`, one a line.
+    /// Runs commands of `tc`, one in each line.
     #[track_caller]
     pub(crate) fn tc(&self, commands: &str) {
         self.batch(&["tc", "-batch", "-"], commands);
@@ -185,7 +189,7 @@ impl Namespace {
         self.batch(&["nft", "-f", "-"], rules);
     }
 
-    /// What a command prints.
+    /// Runs a command and returns what it prints.
     #[track_caller]
     pub(crate) fn output(&self, command: &[&str]) -> String {
         let output = self.command(command).output().unwrap();
@@ -206,7 +210,7 @@ impl Namespace {
         ip
     }
 
-    /// Sends a UDP datagram under any address and port.
+    /// Sends a UDP datagram with any source address and port.
     pub(crate) fn forge(&self, from: SocketAddrV4, to: SocketAddrV4, octets: &[u8]) {
         let packet = packet(from, to, octets);
         self.enter(|| {
@@ -220,7 +224,7 @@ impl Namespace {
         self.enter(|| Peer::bind(address))
     }
 
-    /// Takes down every UDP and ICMP packet from now on.
+    /// Captures every UDP and ICMP packet from now on.
     pub(crate) fn capture(&self) -> Capture {
         self.enter(Capture::start)
     }
@@ -228,7 +232,8 @@ impl Namespace {
 
 impl Drop for Namespace {
     fn drop(&mut self) {
-        // Takes its cables along. If it stays behind, its name tells whose it was.
+        // This also removes the namespace's cables. If the namespace remains, its name shows which
+        // process made it.
         let _ = Command::new("ip").args(["netns", "delete", &self.name]).status();
     }
 }

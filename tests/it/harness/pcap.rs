@@ -1,18 +1,18 @@
-//! Captures written by hand: pcap, with a raw IPv4 packet for each UDP datagram.
+//! Captures written by hand, in pcap format, with a raw IPv4 packet for each UDP datagram.
 
 use std::net::{Ipv4Addr, SocketAddrV4};
 
-/// Link type of packets that begin with their IP header.
+/// The link type of packets that begin with their IP header.
 const RAW: u32 = 101;
 
-/// What a pcap file begins with.
+/// The header of a pcap file.
 pub(crate) fn header() -> Vec<u8> {
     let magic_and_version = [0xD4, 0xC3, 0xB2, 0xA1, 2, 0, 4, 0];
     let rest = [0, 0, 65535, RAW].map(u32::to_le_bytes);
     [&magic_and_version, rest.as_flattened()].concat()
 }
 
-/// A packet in a pcap file, of which the first `captured` octets were taken.
+/// A packet in a pcap file. The file has only its first `captured` octets.
 pub(crate) fn frame(packet: &[u8], captured: usize) -> Vec<u8> {
     let front = [1_790_000_000, 7, captured as u32, packet.len() as u32].map(u32::to_le_bytes);
     [front.as_flattened(), &packet[..captured]].concat()
@@ -35,7 +35,7 @@ pub(crate) fn packet(from: SocketAddrV4, to: SocketAddrV4, payload: &[u8]) -> Ve
     packet
 }
 
-/// A capture of these payloads, each to its port.
+/// A capture of these payloads. Each is sent to the port next to it.
 pub(crate) fn pcap<'a>(payloads: impl IntoIterator<Item = (u16, &'a [u8])>) -> Vec<u8> {
     let packets = payloads.into_iter().map(|(port, payload)| udp(port, payload));
     packets.fold(header(), |file, packet| [file, frame(&packet, packet.len())].concat())

@@ -1,4 +1,5 @@
-//! The real binary as a process: started, read, signalled, and gone when dropped.
+//! The real binary as a process. A test starts it, reads its output and sends signals. It ends when
+//! it is dropped.
 
 use std::fs::{self, DirEntry};
 use std::io::{self, BufRead, BufReader, Read};
@@ -12,14 +13,14 @@ use serde_json::Value;
 
 use super::eventually;
 
-/// The binary with these arguments, and with no option out of the environment.
+/// The binary with these arguments. No option comes from the environment.
 pub(crate) fn pnet_nat(arguments: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_pnet-nat"));
     command.args(arguments);
     scrubbed(command)
 }
 
-/// The same with a hard limit of file descriptors.
+/// The binary with these arguments and with a hard limit of file descriptors.
 pub(crate) fn pnet_nat_within(descriptors: u64, arguments: &[&str]) -> Command {
     let mut command = Command::new("sh");
     command.args(["-c", "ulimit -n \"$0\" && exec \"$@\"", &descriptors.to_string()]);
@@ -36,7 +37,7 @@ fn scrubbed(mut command: Command) -> Command {
     command
 }
 
-/// A process and what it has written so far.
+/// A process, and its output so far.
 #[derive(Debug)]
 pub(crate) struct Process {
     child: Child,
@@ -44,7 +45,7 @@ pub(crate) struct Process {
     stderr: Output,
 }
 
-/// One stream, read by a thread of its own so that the process never waits for us.
+/// One output stream. A thread of its own reads it, so that the process never waits for the test.
 #[derive(Debug)]
 struct Output {
     text: Arc<Mutex<String>>,
@@ -52,7 +53,7 @@ struct Output {
 }
 
 impl Process {
-    /// Starts it in the calling thread's network namespace.
+    /// Starts the command in the calling thread's network namespace.
     pub(crate) fn start(mut command: Command) -> Self {
         let command = command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
         let mut child = command.spawn().unwrap();
@@ -69,7 +70,7 @@ impl Process {
         kill(Pid::from_raw(self.id() as i32), signal).unwrap();
     }
 
-    /// Stops every thread of it until it may go on.
+    /// Stops every thread of the process until [`go_on`](Self::go_on).
     pub(crate) fn hold(&self) {
         self.signal(Signal::SIGSTOP);
         let threads = format!("/proc/{}/task", self.id());
@@ -86,12 +87,12 @@ impl Process {
         self.signal(Signal::SIGCONT);
     }
 
-    /// Waits until it has ended and tells its exit code; none when a signal killed it.
+    /// Waits until the process has ended and returns its exit code. `None` when a signal killed it.
     pub(crate) fn end(&mut self) -> Option<i32> {
         self.status().code()
     }
 
-    /// Waits until it has ended and tells how.
+    /// Waits until the process has ended and returns its status.
     pub(crate) fn status(&mut self) -> ExitStatus {
         let status = eventually("the process ends", || self.child.try_wait().unwrap());
         for output in [&mut self.stdout, &mut self.stderr] {
@@ -130,7 +131,7 @@ impl Process {
 
 impl Drop for Process {
     fn drop(&mut self) {
-        // It may have ended already.
+        // The process may have ended already.
         let _ = self.child.kill();
         let _ = self.child.wait();
         if thread::panicking() {

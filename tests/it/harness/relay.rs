@@ -1,4 +1,4 @@
-//! A running relay: its configuration, and what can be seen of it from outside.
+//! A running relay: its configuration, and how it looks from outside.
 
 use std::collections::BTreeMap;
 use std::fs::{self, Permissions};
@@ -15,29 +15,30 @@ use super::{
     pnet_nat_within,
 };
 
-/// The configuration that users start from.
+/// The configuration from which users start.
 pub(crate) const ANNOTATED: &str = include_str!("../../../config/pnet-nat.toml");
 
 const ADMIN_PORT: u16 = 9378;
 
-/// What a scenario adds to the usual configuration: TOML.
+/// What a scenario adds to the usual configuration, in TOML.
 #[derive(Clone, Debug)]
 pub(crate) struct Settings<'a> {
     /// Further keys of the net.
     pub(crate) net: &'a str,
     /// The net's passwords.
     pub(crate) passwords: &'a str,
-    /// Keys of `[runtime]`.
+    /// The keys of `[runtime]`.
     pub(crate) runtime: &'a str,
     /// Further sections.
     pub(crate) sections: &'a str,
-    /// Hard limit of file descriptors.
+    /// The hard limit of file descriptors.
     pub(crate) descriptors: Option<u64>,
 }
 
 impl Default for Settings<'_> {
-    /// One password, and one worker: what two clients send is then handled in that order. The end
-    /// does not wait long for answers that a scenario withheld.
+    /// One password and one worker, so that datagrams of two clients are handled in the order in
+    /// which they were sent. When the relay stops, it waits only briefly for answers that a
+    /// scenario held back.
     fn default() -> Self {
         Self {
             net: "",
@@ -49,8 +50,8 @@ impl Default for Settings<'_> {
     }
 }
 
-/// A folder with this configuration, `pnet-nat.toml`, and all password files that the annotated one
-/// names.
+/// A folder with this configuration in `pnet-nat.toml`, and with all password files that the
+/// annotated configuration names.
 pub(crate) fn folder(configuration: &str) -> TempDir {
     let folder = tempfile::tempdir().unwrap();
     fs::write(folder.path().join("pnet-nat.toml"), configuration).unwrap();
@@ -69,7 +70,8 @@ pub(crate) fn folder(configuration: &str) -> TempDir {
     folder
 }
 
-/// Where a relay stands: what it listens on, and the subnet of its nodes 1 to 4 and 33.
+/// The surroundings of a relay: the addresses that it listens on, and the subnet of its nodes 1 to
+/// 4 and 33.
 #[derive(Debug)]
 pub(crate) struct Place<'a> {
     /// A list, in TOML.
@@ -82,7 +84,7 @@ pub(crate) struct Place<'a> {
 }
 
 impl Place<'_> {
-    /// The configuration of a relay that stands here.
+    /// The configuration of a relay in this place.
     pub(crate) fn configuration(&self, settings: &Settings<'_>) -> String {
         let Self { listen, admin, start_port, subnet, allow } = self;
         let Settings { net, passwords, runtime, sections, .. } = settings;
@@ -111,7 +113,7 @@ allow = {allow}
         )
     }
 
-    /// Starts one with the usual configuration and these settings, and waits until it is ready.
+    /// Starts a relay with the usual configuration and these settings, and waits until it is ready.
     pub(crate) fn relay(&self, settings: &Settings<'_>) -> Relay {
         Relay::start(&self.configuration(settings), self.admin, settings.descriptors)
     }
@@ -131,7 +133,7 @@ impl Site {
         .configuration(settings)
     }
 
-    /// Where its relay's admin server is.
+    /// The address of the admin server of this site's relay.
     pub(crate) fn admin(&self) -> SocketAddr {
         (self.public_address(), ADMIN_PORT).into()
     }
@@ -147,7 +149,7 @@ impl Site {
 pub(crate) struct Relay {
     pub(crate) process: Process,
     admin: SocketAddr,
-    /// Of its configuration.
+    /// The folder with the relay's configuration.
     pub(crate) folder: TempDir,
 }
 
@@ -160,7 +162,7 @@ impl Relay {
         Self::start_as(configuration, admin, start)
     }
 
-    /// Starts it by a command that has these arguments, and maybe more.
+    /// Starts the relay with a command that contains these arguments, and possibly more.
     pub(crate) fn start_as(
         configuration: &str,
         admin: SocketAddr,
@@ -177,7 +179,7 @@ impl Relay {
         relay
     }
 
-    /// Writes another configuration into its file, for the next reload.
+    /// Writes another configuration into the relay's file, for the next reload.
     pub(crate) fn configure(&self, configuration: &str) {
         fs::write(self.folder.path().join("pnet-nat.toml"), configuration).unwrap();
     }
@@ -187,7 +189,7 @@ impl Relay {
         fs::write(self.folder.path().join("secrets").join(file), password).unwrap();
     }
 
-    /// Reloads by SIGHUP, and tells the log line that says how it went.
+    /// Reloads by SIGHUP, and returns the log line with the result.
     #[track_caller]
     pub(crate) fn reload(&self) -> Value {
         let done = || {
@@ -200,7 +202,7 @@ impl Relay {
         eventually("the reload is over", || done().into_iter().nth(before))
     }
 
-    /// Brings another configuration into force, and tells the log line with the differences.
+    /// Brings another configuration into force, and returns the log line with the differences.
     #[track_caller]
     pub(crate) fn reload_to(&self, configuration: &str) -> Value {
         self.configure(configuration);
@@ -209,14 +211,14 @@ impl Relay {
         line
     }
 
-    /// `POST /-/reload`: status and body.
+    /// Sends `POST /-/reload` and returns the status and the body.
     pub(crate) fn post_reload(&self) -> (u16, String) {
         let mut answer = self.agent().post(format!("http://{}/-/reload", self.admin)).send_empty();
         let answer = answer.as_mut().unwrap();
         (answer.status().as_u16(), answer.body_mut().read_to_string().unwrap())
     }
 
-    /// Status and body of an answer of the admin server, if there is one.
+    /// The status and the body of the admin server's answer, if there is an answer.
     pub(crate) fn get(&self, path: &str) -> Option<(u16, String)> {
         let mut answer = self.agent().get(format!("http://{}{path}", self.admin)).call().ok()?;
         let body = answer.body_mut().with_config().limit(1 << 30).read_to_string().ok()?;
@@ -237,7 +239,7 @@ impl Relay {
         Metrics::parse(&text)
     }
 
-    /// Waits until exactly this was dropped: direction, reason, how often.
+    /// Waits until exactly these datagrams were dropped: direction, drop reason, number.
     #[track_caller]
     pub(crate) fn expect_drops(&self, expected: &[(&str, &str, u64)]) {
         let expected: BTreeMap<_, _> = expected
@@ -252,7 +254,8 @@ impl Relay {
         assert_eq!(drops, expected);
     }
 
-    /// Once everything is at rest, received = forwarded + dropped.
+    /// Checks the law of the counters: when no datagram is on its way, received = forwarded +
+    /// dropped.
     #[track_caller]
     pub(crate) fn expect_law(&self) {
         let mut breaches = Vec::new();
@@ -261,14 +264,15 @@ impl Relay {
             if breaches.is_empty() {
                 return;
             }
-            // A datagram may be between two counters.
+            // A datagram may be counted in one counter and not yet in the other.
             super::pause(std::time::Duration::from_millis(10));
         }
         panic!("the law of the counters does not hold: {breaches:#?}");
     }
 
-    /// Every scenario ends so: the law of the counters holds, SIGTERM ends the relay with exit
-    /// code 0, and no password was shown. Returns the ended process, for its log.
+    /// Ends a scenario. Every scenario has to end in this way: the law of the counters holds,
+    /// SIGTERM ends the relay with exit code 0, and no password was shown. Returns the ended
+    /// process, for its log.
     #[track_caller]
     pub(crate) fn finish(mut self) -> Process {
         self.expect_law();

@@ -1,7 +1,8 @@
-//! A /24 of loopback for one scenario, and the sockets in it that play servers and clients.
+//! A /24 of loopback for one scenario, and sockets in it that play servers and clients.
 //!
-//! Linux has all of 127/8, so that nodes on their Secure port, relays on their public ports and
-//! admin servers never meet those of another scenario, nor those of another run.
+//! On Linux, all of 127/8 belongs to loopback. So the nodes' Secure ports, the relays' public ports
+//! and the admin servers of one scenario never conflict with those of another scenario or of
+//! another test run.
 
 use std::fs;
 use std::io;
@@ -14,21 +15,23 @@ use socket2::Socket;
 
 use super::{PATIENCE, Process, eventually, folder, pnet_nat, request, response};
 
-/// Below the ports that Linux lends on, so that nobody has one of the block by chance.
+/// The block lies below the ports that Linux gives out, so that no socket has one of them by
+/// chance.
 const START_PORT: u16 = 20000;
 ///
 const SECURE_PORT: u16 = 34379;
-/// Last octets of a site, beside its nodes 1 to 125.
+/// The last octets of a site's addresses. The nodes have 1 to 125.
 const PUBLIC: u8 = 200;
 const FIRST_CLIENT: u8 = 201;
 const CLAIM: u8 = 254;
 
-/// A subnet of loopback that nobody else uses.
+/// A loopback subnet that no other scenario uses.
 #[derive(Debug)]
 pub(crate) struct Site {
     subnet: [u8; 3],
     next_client: AtomicU8,
-    /// Held as long as the site is ours: nobody can bind it twice, in whichever process.
+    /// This socket claims the subnet: no second socket in any process can be bound to its address
+    /// and port.
     _claim: UdpSocket,
 }
 
@@ -63,7 +66,7 @@ impl Site {
         START_PORT
     }
 
-    /// Where a node is reached from outside.
+    /// The public address and port of a node.
     pub(crate) fn public(&self, node_address: u8) -> SocketAddr {
         (self.public_address(), START_PORT + u16::from(node_address)).into()
     }
@@ -73,7 +76,7 @@ impl Site {
         Peer::bind((self.address(node_address), SECURE_PORT).into())
     }
 
-    /// `pnet-nat node` for nodes 1 to 4.
+    /// `pnet-nat node` for the nodes 1 to 4.
     pub(crate) fn simulated_nodes(&self, delay: &str) -> Process {
         let folder = folder("");
         let listen = format!("{}-4", self.address(1));
@@ -86,7 +89,7 @@ impl Site {
         nodes
     }
 
-    /// A client at an address of its own.
+    /// A client with its own address.
     pub(crate) fn client(&self) -> Peer {
         let last = self.next_client.fetch_add(1, Relaxed);
         assert!(last < CLAIM, "a site has room for {} clients", CLAIM - FIRST_CLIENT);
@@ -94,12 +97,13 @@ impl Site {
     }
 }
 
-/// One end of an exchange: a socket that sends and gets octets.
+/// One end of an exchange: a socket that sends and receives octets.
 #[derive(Debug)]
 pub(crate) struct Peer(UdpSocket);
 
 impl Peer {
-    /// Binds; waits for a port that is taken, for it may be lent to another scenario's relay.
+    /// Binds a socket. If the port is taken, waits: the system may have given it to another
+    /// scenario's relay.
     pub(crate) fn bind(address: SocketAddr) -> Self {
         let socket = eventually("the port is free", || match UdpSocket::bind(address) {
             Ok(socket) => Some(socket),
@@ -129,7 +133,7 @@ impl Peer {
         }
     }
 
-    /// The next datagram and its sender, if one comes in time.
+    /// The next datagram and its sender, if a datagram comes in time.
     pub(crate) fn receive_within(&self, time: Duration) -> Option<(Vec<u8>, SocketAddr)> {
         self.0.set_read_timeout(Some(time)).unwrap();
         let mut octets = [0; 2048];
@@ -141,7 +145,7 @@ impl Peer {
         }
     }
 
-    /// The next datagram has to be this one; tells its sender.
+    /// Receives the next datagram, which has to be this one, and returns its sender.
     #[track_caller]
     pub(crate) fn expect(&self, octets: &[u8]) -> SocketAddr {
         let (came, from) = self.receive();
@@ -149,7 +153,7 @@ impl Peer {
         from
     }
 
-    /// What waits, if anything does.
+    /// A datagram that waits in the socket, if there is one.
     pub(crate) fn waiting(&self) -> Option<Vec<u8>> {
         self.0.set_nonblocking(true).unwrap();
         let mut octets = [0; 2048];
@@ -169,7 +173,8 @@ impl From<Peer> for Socket {
 }
 
 /// Closes an IPv4 socket of the calling thread's network namespace, and waits until its port is
-/// free: a process that another scenario starts just now has a copy of every socket for a moment.
+/// free. A process that another scenario starts at this moment has a copy of every socket for a
+/// short time.
 pub(crate) fn close(socket: impl Into<Socket>) {
     let socket = socket.into();
     let address = socket.local_addr().unwrap().as_socket_ipv4().unwrap();
@@ -183,8 +188,8 @@ pub(crate) fn close(socket: impl Into<Socket>) {
     eventually("the port is free", || ["udp", "tcp"].into_iter().all(is_free).then_some(()));
 }
 
-/// A request reaches its node and the answer its client, both octet for octet, both as the very
-/// next thing that comes there. Tells the relay's port towards the node.
+/// Sends a request to a node and the answer back to the client. Both have to arrive unchanged, and
+/// as the next datagram at their destination. Returns the relay's upstream port.
 #[track_caller]
 pub(crate) fn exchange(client: &Peer, public: SocketAddr, node: &Peer, node_address: u8) -> u16 {
     client.send(public, &request(node_address));

@@ -1,4 +1,4 @@
-//! A user other than root, who has no process and no thread but those that a scenario starts.
+//! A user other than root. Only the scenario starts processes and threads of this user.
 
 use std::fs::{self, Permissions};
 use std::os::unix::fs::{PermissionsExt, chown};
@@ -11,7 +11,8 @@ use tempfile::TempDir;
 
 use super::left_out;
 
-/// Who runs the binary, and a copy of it: whoever it is may not be able to run the original.
+/// A user who runs the binary, with a copy of the binary: this user may have no right to run the
+/// original.
 #[derive(Debug)]
 pub(crate) struct Somebody {
     user: u32,
@@ -19,7 +20,8 @@ pub(crate) struct Somebody {
 }
 
 impl Somebody {
-    /// Somebody whom no other scenario knows; says so where nobody else can be had.
+    /// Makes a user that no other scenario uses. Where that is not possible, says so and returns
+    /// `None`.
     pub(crate) fn new() -> Option<Self> {
         static NEXT: AtomicU32 = AtomicU32::new(0);
         if !geteuid().is_root() || Command::new("setpriv").arg("--version").output().is_err() {
@@ -33,14 +35,15 @@ impl Somebody {
         Some(Self { user, folder })
     }
 
-    /// Makes a folder with a configuration his own.
+    /// Makes this user the owner of a folder with a configuration.
     pub(crate) fn owns(&self, folder: &Path) {
         for path in ["", "pnet-nat.toml", "secrets", "secrets/section-1", "secrets/press"] {
             chown(folder.join(path), Some(self.user), Some(self.user)).unwrap();
         }
     }
 
-    /// The binary with these arguments, run by him, with at most so many threads in all.
+    /// The binary with these arguments. This user runs it, and may have at most this many threads
+    /// in total.
     pub(crate) fn pnet_nat(&self, threads: Option<usize>, arguments: &[&str]) -> Command {
         let mut command = Command::new("prlimit");
         command.args(threads.map(|most| format!("--nproc={most}:{most}")));

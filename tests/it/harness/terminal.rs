@@ -12,7 +12,8 @@ use nix::unistd::Pid;
 
 use super::eventually;
 
-/// What looks at the terminal; the process ends with it.
+/// The other end of the terminal, with what the process wrote there. The process ends when this is
+/// dropped.
 #[derive(Debug)]
 pub(crate) struct Terminal {
     child: Child,
@@ -28,13 +29,13 @@ impl Terminal {
         let slave = || Stdio::from(pair.slave.try_clone().unwrap());
         command.env("TERM", "xterm").env_remove("CLICOLOR").env_remove("CLICOLOR_FORCE");
         let child = command.stdin(slave()).stdout(slave()).stderr(slave()).spawn().unwrap();
-        // The command holds them open, and with them the terminal.
+        // The command would keep these streams open, and with them the terminal.
         command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
         let written: Arc<Mutex<Vec<u8>>> = Arc::default();
         let (shared, mut master) = (Arc::clone(&written), File::from(pair.master));
         let reader = thread::spawn(move || {
             let mut octets = [0; 4096];
-            // It ends with an error as soon as nobody can write to it any more.
+            // The read fails as soon as no process can write to the terminal any more.
             while let Ok(length @ 1..) = master.read(&mut octets) {
                 shared.lock().unwrap().extend(&octets[..length]);
             }
@@ -46,7 +47,7 @@ impl Terminal {
         kill(Pid::from_raw(self.child.id() as i32), signal).unwrap();
     }
 
-    /// Waits until the process has ended and tells its exit code; none when a signal killed it.
+    /// Waits until the process has ended and returns its exit code. `None` when a signal killed it.
     pub(crate) fn end(&mut self) -> Option<i32> {
         let status = eventually("the process ends", || self.child.try_wait().unwrap());
         if let Some(reader) = self.reader.take() {
@@ -55,7 +56,7 @@ impl Terminal {
         status.code()
     }
 
-    /// All that was written so far.
+    /// All output so far.
     pub(crate) fn text(&self) -> String {
         String::from_utf8_lossy(&self.written.lock().unwrap()).into_owned()
     }
@@ -70,7 +71,7 @@ impl Terminal {
 
 impl Drop for Terminal {
     fn drop(&mut self) {
-        // It may have ended already.
+        // The process may have ended already.
         let _ = self.child.kill();
         let _ = self.child.wait();
     }

@@ -1,4 +1,4 @@
-//! YAML, read by the parser that kubernetes-validate brings along.
+//! Reads YAML with the parser that comes with kubernetes-validate.
 
 use std::io::Write;
 use std::path::Path;
@@ -8,10 +8,10 @@ use serde_json::Value;
 
 use super::left_out;
 
-/// Where `.ci/run` installs the validator, which brings schemas and a parser along.
+/// The folder where `.ci/run` installs the validator, which comes with schemas and a parser.
 pub(crate) const TOOLS: &str = "target/kubernetes-validate/bin";
 
-/// Whether they are there; says so where they are not.
+/// Whether the validator is installed. Says so if it is not.
 pub(crate) fn has_yaml() -> bool {
     let has = Path::new(TOOLS).exists();
     if !has {
@@ -20,7 +20,7 @@ pub(crate) fn has_yaml() -> bool {
     has
 }
 
-/// The documents of a text.
+/// The documents of a YAML text.
 #[track_caller]
 pub(crate) fn yaml(text: &str) -> Vec<Value> {
     let mut python = Command::new(format!("{TOOLS}/python"));
