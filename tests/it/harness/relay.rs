@@ -159,7 +159,10 @@ impl Relay {
             Some(limit) => pnet_nat_within(limit, arguments),
             None => pnet_nat(arguments),
         };
-        Self::start_as(configuration, admin, start)
+        let relay = Self::start_as(configuration, admin, start);
+        // Lines reach us on another way than answers, and later on a busy machine.
+        eventually("the log says so too", || relay.process.logged("relaying").pop());
+        relay
     }
 
     /// Starts the relay with a command that contains these arguments, and possibly more.
