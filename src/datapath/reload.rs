@@ -18,7 +18,7 @@ use crate::nat::{Counters, ListenerId, Net, Succession, Transition};
 use crate::datapath::active_config::ActiveConfig;
 use crate::datapath::commands::{Command, WorkerReload};
 use crate::datapath::router::{Router, addresses, lock};
-use crate::datapath::socket::descriptors;
+use crate::datapath::socket::descriptors::{self, Share};
 use crate::datapath::socket::filtered::NetDrops;
 use crate::datapath::socket::handle::Handle;
 use crate::datapath::socket::public::Listeners;
@@ -99,8 +99,9 @@ impl Router {
         let drops: Vec<_> = drops.collect();
         // So no new upstream socket gets in the way of a new public one.
         self.ports.keep_out_of(&[&old.config, &config]);
-        let Opened { listeners, mut missing } = self.open(&config, &drops, &old);
-        let flows_closed = self.go_over(&old, config, drops, listeners)?;
+        let share = self.share(&config);
+        let Opened { listeners, mut missing } = self.open(&config, &drops, &old, &share);
+        let flows_closed = self.go_over(&old, config, drops, listeners, share.upstreams)?;
         drop(old);
         self.ports.keep_out_of(&[&self.in_force().config]);
         if !missing.is_empty() {
@@ -139,14 +140,15 @@ impl Router {
     fn open_missing(&self) -> Result<Vec<Missing>, Stopping> {
         let now = self.in_force();
         let drops = now.drops().to_vec();
-        let Opened { listeners, missing } = self.open(&now.config, &drops, &now);
+        let share = self.share(&now.config);
+        let Opened { listeners, missing } = self.open(&now.config, &drops, &now, &share);
         let mut new = BTreeMap::<_, Vec<_>>::new();
         for id in new_ones(&listeners, &now.listeners()) {
             let Some(listener) = listeners.first().and_then(|all| all.get(id)) else { continue };
             new.entry(listener.address.ip()).or_default().push(listener.address.port());
         }
         if !new.is_empty() {
-            self.go_over(&now, now.config.clone(), drops, listeners)?;
+            self.go_over(&now, now.config.clone(), drops, listeners, share.upstreams)?;
         }
         for (ip, ports) in new {
             tracing::info!(listen = setup::ports_of(ip, ports), "listening");
@@ -154,11 +156,21 @@ impl Router {
         Ok(missing)
     }
 
+    /// How the file descriptors are divided under a configuration.
+    fn share(&self, config: &Config) -> Share {
+        descriptors::share(addresses(config), self.workers.len())
+    }
+
     /// Opens the public sockets of a configuration, and has the workers' epoll watch them.
-    fn open(&self, config: &Config, drops: &[Arc<NetDrops>], old: &ActiveConfig) -> Opened {
-        let share = descriptors::share(addresses(config), self.workers.len());
+    fn open(
+        &self,
+        config: &Config,
+        drops: &[Arc<NetDrops>],
+        old: &ActiveConfig,
+        share: &Share,
+    ) -> Opened {
         let before = old.listeners().clone();
-        let mut opened = setup::open(config, drops, &before, self.workers.len(), &share);
+        let mut opened = setup::open(config, drops, &before, self.workers.len(), share);
         for id in new_ones(&opened.listeners, &before) {
             let each = self.workers.iter().zip(&opened.listeners);
             let mut watched = each.filter_map(|(worker, all)| Some((worker, all.get(id)?)));
@@ -179,8 +191,8 @@ impl Router {
         config: Config,
         drops: Vec<Arc<NetDrops>>,
         listeners: Vec<Listeners>,
+        upstream_limit: usize,
     ) -> Result<usize, Stopping> {
-        let share = descriptors::share(addresses(&config), self.workers.len());
         let (was, is) = (&old.config.table, &config.table);
         let rules = old.rules.followed_by(Arc::clone(is), config.limits);
         let before = old.listeners().clone();
@@ -196,7 +208,7 @@ impl Router {
                 transition: Arc::clone(&transition),
             },
             listeners: listeners.clone(),
-            upstream_limit: share.upstreams,
+            upstream_limit,
             settings: config.datapath.clone(),
         };
         let mut answers = Vec::new();

@@ -81,10 +81,10 @@ impl Router {
     pub fn bind(config: Config) -> Result<Bound, StartError> {
         let started = Instant::now();
         listen::look_up();
-        let plan = descriptors::plan(addresses(&config), config.runtime.workers)?;
+        let addresses = addresses(&config);
+        let plan = descriptors::plan(addresses, config.runtime.workers)?;
         let drops: Vec<Arc<NetDrops>> =
             config.table.nets().iter().map(|_| Arc::default()).collect();
-        let addresses = addresses(&config);
         let share = Share { public_sockets: addresses, upstreams: plan.upstreams, lack: None };
         let Opened { listeners, missing } = setup::open(&config, &drops, &[], plan.workers, &share);
         if let Some(Missing { why, .. }) = missing.into_iter().next() {
