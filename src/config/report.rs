@@ -208,8 +208,9 @@ impl<'a> Report<'a> {
             file: self.file.to_owned(),
             line,
             key,
-            problem,
-            remedy,
+            // Both may show what stands in the file.
+            problem: harmless(&problem),
+            remedy: harmless(&remedy),
             excerpt: None,
             passes: false,
         }

@@ -9,6 +9,7 @@ use toml::de::DeTable;
 
 use super::excerpt::Lines;
 use super::report::{Advice, MOST_TOLD, Report, shortened};
+use crate::harmless::is_harmful;
 
 /// Keys whose value is a list.
 const LISTS: [&str; 3] = ["listen", "nodes", "allow"];
@@ -260,7 +261,8 @@ fn elements(list: &str) -> Option<String> {
 fn element(value: &str) -> Option<String> {
     let value = value.trim();
     if is_toml(&format!("x = {value}")) {
-        return Some(value.to_owned());
+        // A message shows some characters escaped, so that it could not be copied from there.
+        return (!value.contains(is_harmful)).then(|| value.to_owned());
     }
     let plain = value.trim_matches(QUOTES).trim();
     match plain.to_ascii_lowercase().as_str() {

@@ -118,6 +118,27 @@ fn what_is_shown_can_be_read_or_nothing_is_shown() {
     assert!(told[0].contains("correct the TOML"), "{told:?}");
     let told = told_of("\"press\"", "\"a\"b\"");
     assert!(told[0].contains("correct the TOML"), "{told:?}");
+    // A tab may stand in a text, but a terminal would take it for blanks.
+    let told = told_of("[\"192.0.2.1\"]", "[\"192.0.2.1\t\", 192.0.2.2]");
+    assert!(told[0].contains("correct the TOML"), "{told:?}");
+}
+
+#[test]
+fn no_message_shows_what_a_terminal_obeys() {
+    let quotes: Vec<_> = SOUND.match_indices('"').map(|(at, _)| at).collect();
+    for harmful in ['\t', '\u{7f}', '\u{85}', '\u{202e}', '\u{feff}'] {
+        for &at in &quotes {
+            // Inside of a text, after it, and where its end is missing.
+            for (inserted, rest) in [(at + 1, at + 1), (at, at), (at, at + 1)] {
+                let text = format!("{}{harmful}{}", &SOUND[..inserted], &SOUND[rest..]);
+                let Err(Faults(faults)) = parse(&text, Path::new("c.toml")) else { continue };
+                for fault in faults {
+                    let told = fault.to_string();
+                    assert!(!told.contains(crate::harmless::is_harmful), "{text:?}: {told:?}");
+                }
+            }
+        }
+    }
 }
 
 #[test]
