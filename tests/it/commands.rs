@@ -49,7 +49,7 @@ fn a_request_goes_through_the_relay_to_simulated_nodes_and_back() {
     assert_eq!(code, Some(0), "{stdout}");
     let summary: Value = serde_json::from_str(stdout.lines().last().unwrap()).unwrap();
     assert_eq!((&summary["sent"], &summary["answered"]), (&json!(20), &json!(20)));
-    assert_eq!(relay.metrics().sum("pnet_nat_flows", &[]), 4, "one client, four nodes");
+    assert_eq!(relay.at_rest().sum("pnet_nat_flows", &[]), 4, "one client, four nodes");
 
     nodes.signal(Signal::SIGTERM);
     assert_eq!(nodes.end(), Some(0));

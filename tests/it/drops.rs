@@ -67,7 +67,7 @@ fn requests_that_are_not_in_order() {
         expected.push(("request", reason, datagrams.len() as u64));
         relay.expect_drops(&expected);
     }
-    let metrics = relay.metrics();
+    let metrics = relay.at_rest();
     let of_node_4 = [("net", "section-1"), ("node", "4"), ("direction", "request")];
     let dropped = metrics.sum("pnet_nat_dropped_datagrams_total", &of_node_4);
     assert_eq!(dropped, expected.iter().map(|(.., count)| count).sum::<u64>());
@@ -136,7 +136,7 @@ fn more_requests_than_a_flow_or_a_net_may_have() {
             ("request", "request_limit", limited),
         ]);
         assert_eq!(node.waiting(), None);
-        assert_eq!(relay.metrics().sum("pnet_nat_flows_opened_total", &[]), passed);
+        assert_eq!(relay.at_rest().sum("pnet_nat_flows_opened_total", &[]), passed);
         relay.finish();
     }
 }
@@ -335,7 +335,7 @@ fn a_server_that_cannot_be_sent_to() {
     relay.expect_drops(&[("request", "send_failed", 3)]);
     // The press was not asked, so it is not silent.
     let since = "pnet_nat_unanswered_since_timestamp_seconds";
-    assert_eq!(relay.metrics().sum(since, &[("net", "press")]), 0);
+    assert_eq!(relay.at_rest().sum(since, &[("net", "press")]), 0);
     let log = relay.finish();
     let told = log.logged("cannot send to a server").into_iter().map(|line| line["net"].clone());
     assert_eq!(told.collect::<Vec<_>>(), ["press", "oven"], "{}", log.stderr());

@@ -60,7 +60,7 @@ fn sources_that_are_no_clients() {
         relay.expect_drops(&[("request", "source_not_allowed", 2), ("request", "unanswerable", 3)]);
         exchange(&network.client("198.51.100.7"), public, &node, 4);
         assert_eq!(node.waiting(), None);
-        assert_eq!(relay.metrics().sum("pnet_nat_flows_opened_total", &[]), 1);
+        assert_eq!(relay.at_rest().sum("pnet_nat_flows_opened_total", &[]), 1);
         relay.finish();
     });
 }
@@ -100,7 +100,7 @@ fn clients_over_ipv6_that_no_answer_reaches() {
         });
         exchange(&client, public, &node, 4);
         assert_eq!(node.waiting(), None);
-        assert_eq!(relay.metrics().sum("pnet_nat_flows_opened_total", &[]), 1);
+        assert_eq!(relay.at_rest().sum("pnet_nat_flows_opened_total", &[]), 1);
         relay.finish();
     });
 }

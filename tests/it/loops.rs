@@ -31,7 +31,7 @@ fn expect_no_more_than_three(network: &Network, relay: Relay, public: &str) {
         client.send(public, &request(4));
     }
     relay.expect_drops(&[("request", "loop", 3)]);
-    let metrics = relay.metrics();
+    let metrics = relay.at_rest();
     assert_eq!(metrics.sum("pnet_nat_flows_opened_total", &[]), 1);
     assert_eq!(metrics.sum("pnet_nat_forwarded_datagrams_total", &[]), 3);
     assert_eq!(client.waiting(), None);

@@ -249,7 +249,7 @@ fn a_node_that_was_down_is_reached_again() {
         let node = network.plant.peer(server);
         assert_eq!(exchange(&client, public, &node, 4), port);
         assert_eq!(outside.end().len(), 3, "nothing but three datagrams on the Internet side");
-        let metrics = relay.metrics();
+        let metrics = relay.at_rest();
         assert_eq!(metrics.sum("pnet_nat_flows_opened_total", &[]), 1);
         assert_eq!(metrics.sum("pnet_nat_forwarded_datagrams_total", &[]), 5);
         relay.expect_drops(&[]);
@@ -280,7 +280,7 @@ fn a_flood_causes_no_packet_on_either_side() {
             assert_eq!(octets(&inside), [request(4), response(4)]);
             assert!(matches!(&inside[0], Packet::Udp { from, .. } if from.port() == from_relay));
 
-            let metrics = relay.metrics();
+            let metrics = relay.at_rest();
             let refused = metrics.sum("pnet_nat_kernel_dropped_datagrams_total", &[]);
             assert_eq!(metrics.drops().values().sum::<u64>() + refused, sent);
             assert_eq!(refused > 0, prefilter != "off");
@@ -368,7 +368,7 @@ fn a_network_that_was_gone_is_used_again() {
         network.edge.ip("link set eth0 up");
         exchange(&client, public, &node, 4);
 
-        assert_eq!(relay.metrics().sum("pnet_nat_flows_opened_total", &[]), 1);
+        assert_eq!(relay.at_rest().sum("pnet_nat_flows_opened_total", &[]), 1);
         let log = relay.finish();
         let complaints =
             log.log().filter(|line| line["message"].as_str().unwrap().contains("cannot send"));

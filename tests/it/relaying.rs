@@ -132,7 +132,7 @@ fn a_node_that_comes_back_is_reached_over_the_same_flow() {
     }
     let node = site.node(4);
     assert_eq!(exchange(&client, site.public(4), &node, 4), port);
-    assert_eq!(relay.metrics().sum("pnet_nat_flows_opened_total", &[]), 2);
+    assert_eq!(relay.at_rest().sum("pnet_nat_flows_opened_total", &[]), 2);
     relay.expect_drops(&[]);
     let log = relay.finish();
     assert_eq!(log.logged("cannot receive from the servers"), [] as [Value; 0]);
@@ -155,7 +155,7 @@ fn a_full_flow_table_refuses_the_new_and_serves_the_old() {
     }
     assert_eq!(new.waiting(), None);
     relay.expect_drops(&[("request", "flow_limit", 1)]);
-    let metrics = relay.metrics();
+    let metrics = relay.at_rest();
     assert_eq!(metrics.sum("pnet_nat_flows", &[("net", "section-1")]), 2);
     assert_eq!(metrics.sum("pnet_nat_flow_limit", &[("net", "section-1")]), 2);
     relay.finish();
@@ -216,7 +216,7 @@ fn two_passwords_are_valid_and_counted_apart() {
         node.send(from_relay, &octets);
         client.expect(&octets); // with the password of the latest request
     }
-    let metrics = relay.metrics();
+    let metrics = relay.at_rest();
     for (credential, count) in [("old", 1), ("new", 2)] {
         let labels = [("net", "section-1"), ("credential", credential)];
         assert_eq!(metrics.sum("pnet_nat_accepted_requests_total", &labels), count);
@@ -270,7 +270,7 @@ fn a_single_server_is_reached_on_its_one_port() {
     client.send(public, &request(7));
     client.send(public, &datagram(&FIGURE_10, &[], SECOND));
     relay.expect_drops(&[("request", "password_wrong", 1), ("request", "node_mismatch", 1)]);
-    assert_eq!(relay.metrics().sum("pnet_nat_forwarded_datagrams_total", &[("net", "press")]), 2);
+    assert_eq!(relay.at_rest().sum("pnet_nat_forwarded_datagrams_total", &[("net", "press")]), 2);
     relay.finish();
 }
 
@@ -291,7 +291,7 @@ fn a_relay_on_every_address_answers_from_the_one_that_was_asked() {
         ports.push(exchange(&client, public, &node, 4));
     }
     assert_eq!(ports[0], ports[3]);
-    assert_eq!(relay.metrics().sum("pnet_nat_flows", &[]), 3, "one for each address");
+    assert_eq!(relay.at_rest().sum("pnet_nat_flows", &[]), 3, "one for each address");
     relay.finish();
 }
 

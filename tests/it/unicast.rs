@@ -80,7 +80,7 @@ fn a_broadcast_does_not_arrive_at_a_named_address() {
             exchange(&network.client(from), network.public(to, 4), &node, 4);
         }
         let received = [("direction", "request")];
-        assert_eq!(relay.metrics().sum("pnet_nat_received_datagrams_total", &received), 2);
+        assert_eq!(relay.at_rest().sum("pnet_nat_received_datagrams_total", &received), 2);
         relay.expect_drops(&[]);
         relay.finish();
     });

@@ -117,7 +117,7 @@ fn response_times_are_measured() {
     crate::harness::pause(std::time::Duration::from_millis(60));
     node.send(from_relay, &request(4));
     client.expect(&request(4));
-    let metrics = relay.metrics();
+    let metrics = relay.at_rest();
     let of_node = [("net", "section-1"), ("node", "4")];
     assert_eq!(metrics.sum("pnet_nat_response_seconds_count", &of_node), 1);
     let under = |bound| [("node", "4"), ("le", bound)];

@@ -67,7 +67,7 @@ fn a_public_address_that_goes_away_and_comes_back() {
                 assert_eq!(exchange(&client, public, &node, 4), port);
                 exchange(&other, others, &node, 4);
             }
-            assert_eq!(relay.metrics().sum("pnet_nat_flows_opened_total", &[]), 4);
+            assert_eq!(relay.at_rest().sum("pnet_nat_flows_opened_total", &[]), 4);
             relay.finish();
         }
     });
@@ -154,7 +154,7 @@ fn pass(lines: Lines<'_>, requests: u16, expected: [usize; 4]) -> Option<Passed>
             assert_eq!(take(&client, &mut passed.to_client), public);
         }
         relay.expect_drops(&[]);
-        let metrics = relay.metrics();
+        let metrics = relay.at_rest();
         for (direction, datagrams) in [("request", to_relay), ("response", from_node)] {
             let labels = [("node", "4"), ("direction", direction)];
             let received = metrics.sum("pnet_nat_received_datagrams_total", &labels);

@@ -93,7 +93,7 @@ impl Sections<'_> {
             self.other.send(from_relay, &response(1));
             assert_eq!(self.client.expect(&response(1)), self.section_2());
         }
-        self.relay.expect_law();
+        self.relay.at_rest();
     }
 
     /// The fault is over: section 1 is reached, and over the same flow.
@@ -101,7 +101,7 @@ impl Sections<'_> {
     fn all_is_well_again(self, port: u16) {
         assert_eq!(self.exchange_with_section_1(), port);
         self.exchange_with_section_2();
-        assert_eq!(self.relay.metrics().sum("pnet_nat_flows_opened_total", &[]), 2);
+        assert_eq!(self.relay.at_rest().sum("pnet_nat_flows_opened_total", &[]), 2);
         self.relay.finish();
     }
 }

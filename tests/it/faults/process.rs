@@ -110,7 +110,7 @@ fn scrapers_that_do_not_read() {
     exchange(&client, site.public(4), &node, 4);
     drop(stuck);
     relay.expect_drops(&[]);
-    assert_eq!(relay.metrics().sum("pnet_nat_forwarded_datagrams_total", &[]), 2 * 501);
+    assert_eq!(relay.at_rest().sum("pnet_nat_forwarded_datagrams_total", &[]), 2 * 501);
     relay.finish();
 }
 
