@@ -167,7 +167,6 @@ impl Worker {
             EventKey::Wake => return self.handle_commands(now),
             EventKey::Tick => return self.tick(),
         };
-        self.batch.keep(received);
         self.quota.note(key, received);
     }
 

@@ -13,20 +13,24 @@ use crate::nat::{Arrival, Direction, DropReason, ListenerId, UpstreamId};
 use super::Worker;
 
 impl Worker {
+    /// Checks what waits on a public socket, and queues what may pass. Returns how many datagrams
+    /// were received.
     pub(super) fn relay_requests(&mut self, id: ListenerId, now: Instant) -> usize {
         // The socket may be closed already, or may not be in its place yet.
         let Some(listener) = self.effects.public.get(id) else { return 0 };
         let most = self.quota.most(EventKey::Public(id));
         let received = self.batch.receive(listener.socket.as_fd(), most, listener.destination());
-        let received = received.unwrap_or_else(|error| {
-            let what = "cannot receive on a public socket";
-            self.effects.warnings.note_of(listener.net, self.core.table(), &error, what);
-            0
-        });
+        let mut received = match received {
+            Ok(received) => received,
+            Err(error) => {
+                let what = "cannot receive on a public socket";
+                self.effects.warnings.note_of(listener.net, self.core.table(), &error, what);
+                return 0;
+            }
+        };
         let (mapping, address) = (listener.mapping, listener.address.ip());
         let mut refused = 0;
-        for index in 0..received {
-            let Some(incoming) = self.batch.incoming(index) else { continue };
+        while let Some(incoming) = received.next_datagram() {
             let arrival = Arrival {
                 listener: id,
                 mapping,
@@ -36,13 +40,13 @@ impl Worker {
                 public_address: incoming.to.unwrap_or(address),
                 client: incoming.from,
             };
-            let (slot, octets) = (incoming.slot, incoming.octets.len());
+            let octets = incoming.octets.len();
             let verdict = self.core.request(now, &arrival, incoming.octets, &mut self.effects);
             match verdict {
                 Ok(to) => {
                     let direction = Direction::Request;
                     let tag = Tag { mapping, direction, octets, asks: to.asks };
-                    self.batch.queue(slot, EventKey::Upstream(to.via).key(), None, to.server, tag);
+                    received.queue(EventKey::Upstream(to.via).key(), None, to.server, tag);
                 }
                 Err(reason) => refused += usize::from(request::is_refused_by_filter(reason)),
             }
@@ -52,28 +56,30 @@ impl Worker {
         {
             self.floods.note(id, listener, self.core.table(), now, refused);
         }
-        received
+        received.count()
     }
 
+    /// Does the same with what servers sent to an upstream socket.
     pub(super) fn relay_responses(&mut self, id: UpstreamId, now: Instant) -> usize {
         let Some(socket) = self.effects.upstream.get(id) else { return 0 };
         let most = self.quota.most(EventKey::Upstream(id));
-        let received =
-            self.batch.receive(socket, most, Destination::Bound).unwrap_or_else(|error| {
+        let mut received = match self.batch.receive(socket, most, Destination::Bound) {
+            Ok(received) => received,
+            Err(error) => {
                 self.effects.warnings.note(&error, "cannot receive from the servers");
-                0
-            });
+                return 0;
+            }
+        };
         let mut strays = 0;
-        for index in 0..received {
-            let Some(incoming) = self.batch.incoming(index) else { continue };
-            let (slot, octets) = (incoming.slot, incoming.octets.len());
+        while let Some(incoming) = received.next_datagram() {
+            let octets = incoming.octets.len();
             match self.core.response(now, id, incoming.from, incoming.octets) {
                 Ok(to) => {
                     let (mapping, direction) = (to.mapping, Direction::Response);
                     let tag = Tag { mapping, direction, octets, asks: None };
                     let own = self.effects.public.get(to.via).and_then(Listener::own_address);
                     let from = own.is_none().then_some(to.public_address);
-                    self.batch.queue(slot, EventKey::Public(to.via).key(), from, to.client, tag);
+                    received.queue(EventKey::Public(to.via).key(), from, to.client, tag);
                 }
                 Err(reason) => strays += usize::from(reason == DropReason::UnknownFlow),
             }
@@ -81,7 +87,7 @@ impl Worker {
         if strays > 0 {
             self.strays.note(&self.effects.upstream, id, self.core.table(), now, strays);
         }
-        received
+        received.count()
     }
 
     pub(super) fn make_room(&mut self, now: Instant) {

@@ -226,14 +226,18 @@ fn batch(arrivals: impl IntoIterator<Item = Arrival>) -> Batch<Fake> {
     Batch::on(Fake { arrivals, cuts_messages: true, ..Fake::default() })
 }
 
-/// What the last receive got: sender, local address and octets.
-fn told(batch: &mut Batch<Fake>, count: usize) -> Vec<Option<Sent>> {
-    let told = |index| batch.incoming(index).map(|i| (i.from, i.to, i.octets.to_vec()));
-    (0..count).map(told).collect()
+/// What a receive of at most so many gets: sender, local address and octets.
+fn received(batch: &mut Batch<Fake>, most: usize, destination: Destination) -> Vec<Sent> {
+    let mut received = batch.receive(socket(), most, destination).unwrap();
+    let mut told = Vec::new();
+    while let Some(Incoming { from, to, octets }) = received.next_datagram() {
+        told.push((from, to, octets.to_vec()));
+    }
+    told
 }
 
-fn came(from: &str, to: Option<&str>, octets: &[u8]) -> Option<Sent> {
-    Some((from.parse().unwrap(), to.map(|to| to.parse().unwrap()), octets.to_vec()))
+fn came(from: &str, to: Option<&str>, octets: &[u8]) -> Sent {
+    (from.parse().unwrap(), to.map(|to| to.parse().unwrap()), octets.to_vec())
 }
 
 #[test]
@@ -242,18 +246,16 @@ fn many_are_received_at_once() {
     let v6 = || datagram("[2001:db8::7]:1", "2001:db8::1", &[]);
     let mut batch =
         batch([v4(), v6(), datagram("198.51.100.7:1", "198.51.100.1", &[7; 300]), v4()]);
-    assert_eq!(batch.receive(socket(), 3, Destination::FromControl).unwrap(), 3);
     let first = came("198.51.100.7:1", Some("198.51.100.1"), &[4; 38]);
     let expected = [
         first.clone(),
         came("[2001:db8::7]:1", Some("2001:db8::1"), &[]),
         came("198.51.100.7:1", Some("198.51.100.1"), &[7; SLOT]),
     ];
-    assert_eq!(told(&mut batch, 3), expected);
-    batch.keep(3);
-    assert_eq!(batch.receive(socket(), AT_ONCE, Destination::FromControl).unwrap(), 1);
-    assert_eq!(told(&mut batch, 1), [first]);
-    assert_eq!(batch.receive(socket(), AT_ONCE, Destination::FromControl).unwrap(), 0);
+    assert_eq!(received(&mut batch, 3, Destination::FromControl), expected);
+    assert_eq!(received(&mut batch, AT_ONCE, Destination::FromControl), [first]);
+    assert_eq!(received(&mut batch, AT_ONCE, Destination::FromControl), []);
+    assert_eq!(batch.used, 4, "all stay in their slots");
 }
 
 #[test]
@@ -261,13 +263,12 @@ fn one_is_received_like_many() {
     let v6 = || datagram("[2001:db8::7]:1", "2001:db8::1", &[6; 38]);
     let mut batch = batch([v6(), Arrival::Error(Errno::EINTR), v6()]);
     for tells in [false, true] {
-        assert_eq!(batch.receive(socket(), 1, destination(tells)).unwrap(), 1);
         let to = tells.then_some("2001:db8::1");
-        assert_eq!(told(&mut batch, 1), [came("[2001:db8::7]:1", to, &[6; 38])]);
-        batch.keep(1);
+        let expected = came("[2001:db8::7]:1", to, &[6; 38]);
+        assert_eq!(received(&mut batch, 1, destination(tells)), [expected]);
     }
     for tells in [false, true] {
-        assert_eq!(batch.receive(socket(), 1, destination(tells)).unwrap(), 0);
+        assert_eq!(received(&mut batch, 1, destination(tells)), []);
     }
 }
 
@@ -283,10 +284,11 @@ fn what_the_kernel_cut_short_tells_nothing() {
     };
     for len in [0, 1, control.len() - 9] {
         let mut batch = batch([with(&name, &control), with(&name, &control[..len])]);
-        assert_eq!(batch.receive(socket(), 1, Destination::FromControl).unwrap(), 1);
-        assert_eq!(batch.receive(socket(), 1, Destination::FromControl).unwrap(), 1);
+        assert_eq!(received(&mut batch, 1, Destination::FromControl).len(), 1);
+        flush(&mut batch); // frees the slot
         let unknown = came("[2001:db8::7]:1", None, &octets);
-        assert_eq!(told(&mut batch, 1), [unknown], "{len} octets of control messages");
+        let second = received(&mut batch, 1, Destination::FromControl);
+        assert_eq!(second, [unknown], "{len} octets of control messages");
     }
     let other_family = [&[1, 0][..], &name[2..]].concat();
     for name_now in
@@ -294,9 +296,11 @@ fn what_the_kernel_cut_short_tells_nothing() {
     {
         for tells in [false, true] {
             let mut batch = batch([with(&name, &control), with(name_now, &control)]);
-            assert_eq!(batch.receive(socket(), 1, destination(tells)).unwrap(), 1);
-            assert_eq!(batch.receive(socket(), 1, destination(tells)).unwrap(), 1);
-            assert_eq!(told(&mut batch, 1), [None], "{name_now:?}");
+            assert_eq!(received(&mut batch, 1, destination(tells)).len(), 1);
+            flush(&mut batch);
+            let mut second = batch.receive(socket(), 1, destination(tells)).unwrap();
+            assert_eq!(second.count(), 1);
+            assert!(second.next_datagram().is_none(), "{name_now:?}");
         }
     }
 }
@@ -306,10 +310,10 @@ fn errors_of_a_receive_come_after_what_was_received() {
     let v4 = || datagram("198.51.100.7:1", "198.51.100.1", &[4; 38]);
     let error = |error| Arrival::Error(error);
     let mut batch = batch([error(Errno::EINTR), v4(), error(Errno::ENOMEM), v4()]);
-    assert_eq!(batch.receive(socket(), AT_ONCE, Destination::FromControl).unwrap(), 1);
-    let refused = batch.receive(socket(), AT_ONCE, Destination::FromControl).unwrap_err();
+    assert_eq!(received(&mut batch, AT_ONCE, Destination::FromControl).len(), 1);
+    let refused = batch.receive(socket(), AT_ONCE, Destination::FromControl).err().unwrap();
     assert_eq!(refused.raw_os_error(), Some(libc::ENOMEM));
-    assert_eq!(batch.receive(socket(), AT_ONCE, Destination::FromControl).unwrap(), 1);
+    assert_eq!(received(&mut batch, AT_ONCE, Destination::FromControl).len(), 1);
 }
 
 /// The batch receives until it is full, from one turn to the next, and may be moved in memory
@@ -325,17 +329,17 @@ fn what_was_received_is_sent_on() {
     let mut expected = Vec::new();
     for turn in 0.. {
         let most = [1, 4, 16, AT_ONCE][turn % 4];
-        let received = batch.receive(socket(), most, destination(turn % 3 > 0)).unwrap();
-        for index in 0..received {
-            let Incoming { slot, octets, .. } = batch.incoming(index).unwrap();
+        let mut received = batch.receive(socket(), most, destination(turn % 3 > 0)).unwrap();
+        let is_over = received.count() == 0;
+        while let Some(Incoming { octets, .. }) = received.next_datagram() {
             octets[0] ^= 0x80; // as a password is replaced
             let (key, len) = (u64::from(octets[1] & 1), octets.len());
             expected.push((key, octets.to_vec()));
             let from = (key == 1).then_some(source);
-            batch.queue(slot, key, from, server, Tag { octets: len, ..TAG });
+            received.queue(key, from, server, Tag { octets: len, ..TAG });
         }
-        batch.keep(received);
-        if batch.is_full() || received == 0 {
+        drop(received);
+        if batch.is_full() || is_over {
             batch = *Box::new(batch);
             assert_eq!(flush(&mut batch), vec![Ok(()); expected.len()]);
             expected.sort_by_key(|(key, _)| *key);
@@ -345,7 +349,7 @@ fn what_was_received_is_sent_on() {
                 .collect();
             assert_eq!(batch.kernel.sent.take(), expected);
         }
-        if received == 0 {
+        if is_over {
             break;
         }
     }
@@ -369,7 +373,7 @@ fn queue(batch: &mut Batch<Fake>, to: &str, lengths: &[usize]) {
         batch.octets[slot].0[..octets].fill(number);
         let from = Some("198.51.100.1".parse().unwrap());
         batch.queue(slot, 1, from, to.parse().unwrap(), Tag { octets, ..TAG });
-        batch.keep(1);
+        batch.used += 1;
     }
 }
 
@@ -420,7 +424,7 @@ fn one_alone_is_sent_like_many() {
         let mut batch = batch([]);
         batch.kernel.outcomes = RefCell::new(outcomes.into());
         batch.queue(0, 1, None, OTHER[0].parse().unwrap(), Tag { octets: 38, ..TAG });
-        batch.keep(1);
+        batch.used += 1;
         assert_eq!(flush(&mut batch), [expected]);
     }
 }

@@ -77,10 +77,17 @@ pub(in crate::datapath) enum Destination {
     FromControl,
 }
 
-/// The datagram that was received in one slot.
+/// The datagrams of one [`receive`](Batch::receive). They stay in their slots until the flush, also
+/// those that are not queued.
+pub(in crate::datapath) struct Received<'b, K = Linux> {
+    batch: &'b mut Batch<K>,
+    count: usize,
+    /// How many were looked at.
+    seen: usize,
+}
+
+/// A datagram that was received.
 pub(in crate::datapath) struct Incoming<'a> {
-    /// The slot in which the datagram waits until [`Batch::queue`].
-    pub slot: usize,
     /// The sender.
     pub from: SocketAddr,
     /// The unicast address that the datagram was sent to, when the socket tells it.
@@ -143,23 +150,24 @@ impl<K: Kernel> Batch<K> {
         self.used + AT_ONCE > SLOTS
     }
 
-    /// Takes up to `most` datagrams that wait on a socket, and returns how many it took. `most` is
-    /// at most [`AT_ONCE`].
+    /// Takes up to `most` datagrams that wait on a socket. `most` is at most [`AT_ONCE`].
+    #[inline]
     pub(in crate::datapath) fn receive(
         &mut self,
         socket: BorrowedFd<'_>,
         most: usize,
         destination: Destination,
-    ) -> io::Result<usize> {
+    ) -> io::Result<Received<'_, K>> {
         let received = if most == 1 && destination == Destination::Bound {
             self.receive_one(socket)
         } else {
             self.receive_many(socket, most)
         };
-        match received {
-            Err(Errno::EAGAIN) => Ok(0),
-            received => Ok(received?),
-        }
+        let count = match received {
+            Err(Errno::EAGAIN) => 0,
+            received => received?,
+        };
+        Ok(Received { batch: self, count, seen: 0 })
     }
 
     fn receive_many(&mut self, socket: BorrowedFd<'_>, most: usize) -> nix::Result<usize> {
@@ -202,24 +210,53 @@ impl<K: Kernel> Batch<K> {
         message.msg_hdr.msg_controllen = 0;
         Ok(1)
     }
+}
 
-    /// The datagram at `index` among those of the last [`receive`](Self::receive). There is none
-    /// when its sender's address is of no known family.
-    #[inline]
-    pub(in crate::datapath) fn incoming(&mut self, index: usize) -> Option<Incoming<'_>> {
-        let (slot, header) = (self.used + index, &self.incoming[index]);
-        let len = (header.msg_len as usize).min(SLOT);
-        Some(Incoming {
-            slot,
-            from: self.names[slot].address(header.msg_hdr.msg_namelen)?,
-            to: self.controls[slot].local_address(header.msg_hdr.msg_controllen as _),
-            octets: &mut self.octets[slot].0[..len],
-        })
+impl<K> Received<'_, K> {
+    /// How many datagrams there are, whoever sent them.
+    pub(in crate::datapath) fn count(&self) -> usize {
+        self.count
     }
 
-    /// Keeps the first `count` datagrams of the last [`receive`](Self::receive) until the flush.
-    pub(in crate::datapath) fn keep(&mut self, count: usize) {
-        self.used += count;
+    /// The next datagram. One is passed over when its sender's address is of no known family.
+    #[inline]
+    pub(in crate::datapath) fn next_datagram(&mut self) -> Option<Incoming<'_>> {
+        while self.seen < self.count {
+            let (index, slot) = (self.seen, self.batch.used + self.seen);
+            self.seen += 1;
+            let batch = &mut *self.batch;
+            let message = &batch.incoming[index];
+            let (name_len, control_len) =
+                (message.msg_hdr.msg_namelen, message.msg_hdr.msg_controllen as _);
+            let len = (message.msg_len as usize).min(SLOT);
+            if let Some(from) = batch.names[slot].address(name_len) {
+                let to = batch.controls[slot].local_address(control_len);
+                return Some(Incoming { from, to, octets: &mut self.batch.octets[slot].0[..len] });
+            }
+        }
+        None
+    }
+}
+
+impl<K: Kernel> Received<'_, K> {
+    /// Queues the last datagram for sending on the socket `key`. When the socket has no address of
+    /// its own, the datagram leaves from the address `from`.
+    #[inline]
+    pub(in crate::datapath) fn queue(
+        &mut self,
+        key: u64,
+        from: Option<IpAddr>,
+        to: SocketAddr,
+        tag: Tag,
+    ) {
+        let slot = self.batch.used + self.seen.checked_sub(1).expect("a datagram was looked at");
+        self.batch.queue(slot, key, from, to, tag);
+    }
+}
+
+impl<K> Drop for Received<'_, K> {
+    fn drop(&mut self) {
+        self.batch.used += self.count;
     }
 }
 

@@ -14,9 +14,8 @@ use super::calls::Kernel;
 use super::{Batch, Outgoing, SEGMENTS, SLOT, Tag, uninterrupted};
 
 impl<K: Kernel> Batch<K> {
-    /// Queues the datagram in `slot` for sending on the socket `key`. When the socket has no
-    /// address of its own, the datagram leaves from the address `from`.
-    pub(in crate::datapath) fn queue(
+    /// Queues the datagram in `slot`; see [`Received::queue`](super::Received::queue).
+    pub(super) fn queue(
         &mut self,
         slot: usize,
         key: u64,

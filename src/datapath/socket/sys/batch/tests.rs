@@ -23,7 +23,7 @@ fn queue(batch: &mut Batch, key: u64, lengths: &[u8], from: Option<IpAddr>, to: 
         let octets = usize::from(len);
         batch.octets[batch.used].0[..octets].fill(number);
         batch.queue(batch.used, key, from, to, Tag { octets, ..TAG });
-        batch.keep(1);
+        batch.used += 1;
     }
 }
 
@@ -89,15 +89,17 @@ fn what_is_received_is_told_alike() {
         let sender = receiver(address);
         let mut batch = Batch::new();
         for most in [1, 2, 1, AT_ONCE] {
-            assert_eq!(batch.receive(socket.as_fd(), most, destination(tells)).unwrap(), 0);
+            let received = batch.receive(socket.as_fd(), most, destination(tells)).unwrap();
+            assert_eq!(received.count(), 0);
+            drop(received);
             for octets in [&[9; 38][..], &[]] {
                 sender.send_to(octets, (address, port)).unwrap();
-                assert_eq!(batch.receive(socket.as_fd(), most, destination(tells)).unwrap(), 1);
-                let incoming = batch.incoming(0).unwrap();
+                let mut received = batch.receive(socket.as_fd(), most, destination(tells)).unwrap();
+                assert_eq!(received.count(), 1);
+                let incoming = received.next_datagram().unwrap();
                 assert_eq!(incoming.octets, octets);
                 assert_eq!(incoming.from, sender.local_addr().unwrap());
                 assert_eq!(incoming.to, tells.then(|| address.parse().unwrap()));
-                batch.keep(1);
             }
         }
     }
