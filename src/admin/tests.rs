@@ -13,7 +13,7 @@ use axum::http::HeaderMap;
 use super::*;
 use crate::config::fixture::{self, NODE_1, PASSWORDS, SECTION, config};
 use crate::config::{Admin, Token};
-use crate::nat::{Direction, DropReason};
+use crate::nat::{Direction, DropReason, Writer};
 
 /// An admin server on a free port, in a thread of its own; ends when dropped.
 struct Server {
@@ -221,7 +221,11 @@ fn who_scrapes_at_the_same_time_gets_the_same_text() {
     let server = Server::start(Arc::clone(&router));
     let count = |n: u64| {
         let node = router.in_force();
-        node.counters[0].node(NODE_1).direction(Direction::Request).received.add(n);
+        node.counters[0]
+            .node(NODE_1)
+            .direction(Direction::Request)
+            .received
+            .add(&Writer::of_worker(), n);
     };
     let received = |scraper: &Scraper| {
         let text = String::from_utf8_lossy(scraper.body()).into_owned();
@@ -299,21 +303,21 @@ fn resident_bytes() -> u64 {
 
 #[test]
 fn nets_show_what_was_counted() {
-    let router = Router::idle(config(), 2);
+    let (router, writer) = (Router::idle(config(), 2), Writer::of_worker());
     for worker in &router.in_force().counters {
         let node = worker.node(NODE_1);
-        node.direction(Direction::Request).received.add(5);
-        node.direction(Direction::Request).forwarded.add(4);
-        node.direction(Direction::Request).forwarded_bytes.add(80);
-        node.direction(Direction::Request).dropped(DropReason::Throttled).add(1);
-        node.response_times.observe(Duration::from_millis(4));
-        node.last_request.set(1);
-        node.last_response.set(1);
+        node.direction(Direction::Request).received.add(&writer, 5);
+        node.direction(Direction::Request).forwarded.add(&writer, 4);
+        node.direction(Direction::Request).forwarded_bytes.add(&writer, 80);
+        node.direction(Direction::Request).dropped(DropReason::Throttled).add(&writer, 1);
+        node.response_times.observe(&writer, Duration::from_millis(4));
+        node.last_request.set(&writer, 1);
+        node.last_response.set(&writer, 1);
         worker.net(SECTION).wrong_password_sources.note(7);
         worker.net(SECTION).wrong_password_sources.note(1 << 40);
-        worker.net(SECTION).flows.add(3);
-        worker.net(SECTION).flows_opened.add(3);
-        worker.accepted(SECTION)[0].add(4);
+        worker.net(SECTION).flows.add(&writer, 3);
+        worker.net(SECTION).flows_opened.add(&writer, 3);
+        worker.accepted(SECTION)[0].add(&writer, 4);
     }
     let nets = Server::start(router).get("/api/v1/nets").json();
     let mut section = nets["nets"][0].clone();

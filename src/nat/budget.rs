@@ -22,15 +22,15 @@ use super::time::Nanos;
 #[derive(Debug)]
 pub struct Budget {
     all: Places,
-    all_pairs: Places,
+    all_leases: Places,
     nets: Box<[NetBudget]>,
 }
 
 #[derive(Clone, Debug)]
 struct NetBudget {
     places: Places,
-    /// Places for (socket, server) pairs, in use or resting.
-    pairs: Places,
+    /// Places for leases, in use or resting.
+    leases: Places,
     requests: Requests,
 }
 
@@ -40,9 +40,9 @@ struct Requests {
     rate: Option<Gcra>,
 }
 
-/// The places of one (socket, server) pair, in its net and in the router. Dropping gives them back.
+/// The places of one lease of an upstream socket, in its net and in the router. Dropping gives them back.
 #[derive(Debug)]
-pub(super) struct PairPlace([Arc<AtomicU32>; 2]);
+pub(super) struct LeasePlace([Arc<AtomicU32>; 2]);
 
 #[derive(Clone, Debug)]
 struct Places {
@@ -54,8 +54,8 @@ impl Budget {
     /// All places free, and a second's requests for each net.
     pub fn new(table: &Table, limits: &Limits) -> Self {
         let nets = table.nets().iter().map(NetBudget::new).collect();
-        let all_pairs = Places::new(pairs(limits.max_flows));
-        Self { all: Places::new(limits.max_flows), all_pairs, nets }
+        let all_leases = Places::new(leases(limits.max_flows));
+        Self { all: Places::new(limits.max_flows), all_leases, nets }
     }
 
     /// The budget for the table `new` with these limits. What is taken of this one, whose table is
@@ -67,8 +67,8 @@ impl Budget {
             None => NetBudget::new(net),
         };
         let nets = new.nets().iter().map(next).collect();
-        let all_pairs = Places { limit: pairs(limits.max_flows), ..self.all_pairs.clone() };
-        Self { all: Places { limit: limits.max_flows, ..self.all.clone() }, all_pairs, nets }
+        let all_leases = Places { limit: leases(limits.max_flows), ..self.all_leases.clone() };
+        Self { all: Places { limit: limits.max_flows, ..self.all.clone() }, all_leases, nets }
     }
 
     /// Takes one of this net's requests, if there is one left. True if so, and without a limit.
@@ -101,11 +101,11 @@ impl Budget {
         true
     }
 
-    /// Takes the places of a (socket, server) pair, which it keeps while it rests. As many pairs
+    /// Takes the places of a lease, which it keeps while it rests. As many leases
     /// may rest as may be in use, so the number of sockets has a bound however fast clients come
     /// and go.
-    pub(super) fn take_pair(&self, net: NetId) -> Option<PairPlace> {
-        let places = [&self.net(net).pairs, &self.all_pairs];
+    pub(super) fn take_lease(&self, net: NetId) -> Option<LeasePlace> {
+        let places = [&self.net(net).leases, &self.all_leases];
         if !places[0].take() {
             return None;
         }
@@ -113,19 +113,19 @@ impl Budget {
             places[0].give();
             return None;
         }
-        Some(PairPlace(places.map(|places| Arc::clone(&places.taken))))
+        Some(LeasePlace(places.map(|places| Arc::clone(&places.taken))))
     }
 
-    /// Whether there is a place for another pair in this net.
+    /// Whether there is a place for another lease in this net.
     #[cfg(test)]
-    pub(super) fn has_room_for_pair(&self, net: NetId) -> bool {
-        self.take_pair(net).is_some()
+    pub(super) fn has_room_for_lease(&self, net: NetId) -> bool {
+        self.take_lease(net).is_some()
     }
 
-    /// Pairs in use or resting, of all workers.
+    /// Leases in use or resting, of all workers.
     #[cfg(test)]
-    pub(super) fn pairs_taken(&self) -> usize {
-        self.all_pairs.taken.load(Relaxed) as usize
+    pub(super) fn leases_taken(&self) -> usize {
+        self.all_leases.taken.load(Relaxed) as usize
     }
 
     /// Gives back a place in this net.
@@ -143,14 +143,14 @@ impl NetBudget {
     fn new(net: &Net) -> Self {
         let requests =
             Requests { paid_until: Arc::default(), rate: net.max_requests.map(|rate| rate.gcra) };
-        let pairs = Places::new(pairs(net.max_flows));
-        Self { places: Places::new(net.max_flows), pairs, requests }
+        let leases = Places::new(leases(net.max_flows));
+        Self { places: Places::new(net.max_flows), leases, requests }
     }
 
     fn with_limits(&self, net: &Net) -> Self {
         Self {
             places: Places { limit: net.max_flows, ..self.places.clone() },
-            pairs: Places { limit: pairs(net.max_flows), ..self.pairs.clone() },
+            leases: Places { limit: leases(net.max_flows), ..self.leases.clone() },
             requests: Requests {
                 rate: net.max_requests.map(|rate| rate.gcra),
                 ..self.requests.clone()
@@ -159,14 +159,14 @@ impl NetBudget {
     }
 }
 
-impl Drop for PairPlace {
+impl Drop for LeasePlace {
     fn drop(&mut self) {
         self.0.iter().for_each(|taken| _ = taken.fetch_sub(1, Relaxed));
     }
 }
 
-/// Places for pairs, in use or resting, where so many flows may be open.
-fn pairs(max_flows: u32) -> u32 {
+/// Places for leases, in use or resting, where so many flows may be open.
+fn leases(max_flows: u32) -> u32 {
     max_flows.saturating_mul(2)
 }
 

@@ -1,24 +1,41 @@
-//! The number that everything is counted in.
+//! The number that everything is counted in, and who may change it.
 
+use std::cell::Cell;
+use std::marker::PhantomData;
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 
 /// A number with one writer and any number of readers.
 #[derive(Debug, Default)]
 pub struct Counter(AtomicU64);
 
+/// The right to change the counters of one worker. Its core holds it: there is no copy, and no other
+/// thread can borrow it. So a change needs no read-modify-write.
+#[derive(Debug)]
+pub struct Writer(PhantomData<Cell<()>>);
+
+impl Writer {
+    /// The one for the counters of a worker.
+    pub(crate) fn of_worker() -> Self {
+        Self(PhantomData)
+    }
+}
+
 impl Counter {
-    /// Adds `n`. Called by the one writer only.
-    pub fn add(&self, n: u64) {
+    /// Adds `n`.
+    #[inline]
+    pub fn add(&self, _: &Writer, n: u64) {
         self.0.store(self.0.load(Relaxed).wrapping_add(n), Relaxed);
     }
 
-    /// Takes `n` away. Called by the one writer only.
-    pub fn sub(&self, n: u64) {
+    /// Takes `n` away.
+    #[inline]
+    pub fn sub(&self, _: &Writer, n: u64) {
         self.0.store(self.0.load(Relaxed).wrapping_sub(n), Relaxed);
     }
 
-    /// Sets the value. Called by the one writer only.
-    pub fn set(&self, value: u64) {
+    /// Sets the value.
+    #[inline]
+    pub fn set(&self, _: &Writer, value: u64) {
         self.0.store(value, Relaxed);
     }
 

@@ -1,5 +1,5 @@
-//! Counters of one worker. Only this worker writes them, so counting is a plain load and store: no
-//! lock, no look-up, no read-modify-write. Others may read them at any time.
+//! Counters of one worker. Only this worker's [`Writer`] changes them, so counting is a plain load and
+//! store: no lock, no look-up, no read-modify-write. Others may read them at any time.
 //!
 //! The law of the counters: for every node and direction, received = forwarded + the sum of
 //! dropped, when no datagram is under way.
@@ -9,7 +9,7 @@ use std::hash::Hash;
 use std::net::IpAddr;
 use std::sync::Arc;
 
-use super::counter::Counter;
+use super::counter::{Counter, Writer};
 use super::ids::{MappingId, NetId};
 use super::last_sender::LastSender;
 use super::net::{Mapping, Net};
@@ -39,9 +39,9 @@ impl DirectionCounters {
 
     /// Counts a datagram that the kernel took.
     #[inline]
-    pub(super) fn forwarded(&self, octets: usize) {
-        self.forwarded.add(1);
-        self.forwarded_bytes.add(octets as u64);
+    pub(super) fn forwarded(&self, writer: &Writer, octets: usize) {
+        self.forwarded.add(writer, 1);
+        self.forwarded_bytes.add(writer, octets as u64);
     }
 
     /// Datagrams dropped for any reason.
@@ -67,18 +67,18 @@ pub struct NodeCounters {
 impl NodeCounters {
     /// Notes a request that wants an answer.
     #[inline]
-    pub(super) fn asked(&self, now: u64) {
-        self.last_request.set(now);
+    pub(super) fn asked(&self, writer: &Writer, now: u64) {
+        self.last_request.set(writer, now);
         if self.unanswered_since.get() == 0 {
-            self.unanswered_since.set(now);
+            self.unanswered_since.set(writer, now);
         }
     }
 
     /// Notes a response.
     #[inline]
-    pub(super) fn answered(&self, now: u64) {
-        self.last_response.set(now);
-        self.unanswered_since.set(0);
+    pub(super) fn answered(&self, writer: &Writer, now: u64) {
+        self.last_response.set(writer, now);
+        self.unanswered_since.set(writer, 0);
     }
 
     /// The counters of one direction.
@@ -102,11 +102,17 @@ pub struct NetCounters {
 }
 
 impl NetCounters {
-    /// Notes the sender of a dropped datagram, and the hash of its address. Called by the one
-    /// writer only.
-    pub fn note_source(&self, reason: DropReason, now: Nanos, sender: IpAddr, hash: u64) {
+    /// Notes the sender of a dropped datagram, and the hash of its address.
+    pub fn note_source(
+        &self,
+        writer: &Writer,
+        reason: DropReason,
+        now: Nanos,
+        sender: IpAddr,
+        hash: u64,
+    ) {
         self.sources(reason).note(hash);
-        self.last_sender(reason).note(now, sender);
+        self.last_sender(reason).note(writer, now, sender);
         if reason == DropReason::PasswordWrong {
             self.wrong_password_sources.note(hash);
         }

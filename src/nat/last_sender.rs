@@ -7,6 +7,7 @@ use std::net::{IpAddr, Ipv6Addr};
 use std::sync::atomic::Ordering::{Acquire, Relaxed, Release};
 use std::sync::atomic::{AtomicU64, fence};
 
+use super::counter::Writer;
 use super::time::Nanos;
 
 /// The address of a sender, and the time when it sent.
@@ -21,8 +22,8 @@ pub struct LastSender {
 }
 
 impl LastSender {
-    /// Notes a sender. Called by the one writer only.
-    pub fn note(&self, at: Nanos, sender: IpAddr) {
+    /// Notes a sender.
+    pub fn note(&self, _: &Writer, at: Nanos, sender: IpAddr) {
         let octets = match sender {
             IpAddr::V4(sender) => sender.to_ipv6_mapped().to_bits(),
             IpAddr::V6(sender) => sender.to_bits(),
@@ -68,21 +69,22 @@ mod tests {
 
     #[test]
     fn the_last_of_all() {
+        let writer = Writer::of_worker();
         let [one, other] = [LastSender::default(), LastSender::default()];
         let latest = || LastSender::latest([&one, &other].into_iter());
         assert_eq!(latest(), None);
-        other.note(5, address("2001:db8::7"));
+        other.note(&writer, 5, address("2001:db8::7"));
         assert_eq!(latest(), Some(address("2001:db8::7")));
-        one.note(7, address("198.51.100.9"));
+        one.note(&writer, 7, address("198.51.100.9"));
         assert_eq!(latest(), Some(address("198.51.100.9")));
-        other.note(8, address("::ffff:203.0.113.7"));
+        other.note(&writer, 8, address("::ffff:203.0.113.7"));
         assert_eq!(latest(), Some(address("203.0.113.7")));
     }
 
     #[test]
     fn one_that_is_being_changed_is_left_out() {
         let sender = LastSender::default();
-        sender.note(5, address("198.51.100.9"));
+        sender.note(&Writer::of_worker(), 5, address("198.51.100.9"));
         sender.version.store(3, Relaxed);
         assert_eq!(LastSender::latest(std::iter::once(&sender)), None);
     }
@@ -94,8 +96,9 @@ mod tests {
         let written = |n: u64| Ipv6Addr::from_bits(u128::from(n) << 64 | u128::from(n));
         thread::scope(|scope| {
             let writer = scope.spawn(|| {
+                let own = Writer::of_worker();
                 for n in 1..=300_000 {
-                    sender.note(n, written(n).into());
+                    sender.note(&own, n, written(n).into());
                 }
             });
             while !writer.is_finished() {

@@ -36,7 +36,7 @@ mod upstream_ports;
 pub use budget::Budget;
 pub use chance::Chance;
 pub use core::{Arrival, Core, Succession, ToClient, ToServer};
-pub use counter::Counter;
+pub use counter::{Counter, Writer};
 pub use counters::{Counters, DirectionCounters, NetCounters, NodeCounters};
 pub use effects::Effects;
 pub use flow::FlowRecord;

@@ -6,7 +6,7 @@
 
 use std::time::Duration;
 
-use super::counter::Counter;
+use super::counter::{Counter, Writer};
 
 /// Upper bounds of the histogram for Prometheus, in seconds; one more bucket takes the rest.
 pub const RESPONSE_BUCKETS: [f64; 10] =
@@ -52,11 +52,11 @@ impl Default for ResponseTimes {
 
 impl ResponseTimes {
     /// Counts one response that took `elapsed`.
-    pub fn observe(&self, elapsed: Duration) {
+    pub fn observe(&self, writer: &Writer, elapsed: Duration) {
         let nanos = u64::try_from(elapsed.as_nanos()).unwrap_or(u64::MAX);
         let bucket = &self.0[FINE_BOUNDS.partition_point(|&bound| bound < nanos)];
-        bucket.answers.add(1);
-        bucket.sum_nanos.add(nanos);
+        bucket.answers.add(writer, 1);
+        bucket.sum_nanos.add(writer, nanos);
     }
 
     /// For each bucket, its number of answers (not cumulative) and the sum of their times in
@@ -84,9 +84,9 @@ mod tests {
 
     #[test]
     fn a_time_on_a_bound_belongs_to_the_bucket_below() {
-        let times = ResponseTimes::default();
+        let (times, writer) = (ResponseTimes::default(), Writer::of_worker());
         for nanos in [200_000, 200_001, 100_000, 60_000_000_000] {
-            times.observe(Duration::from_nanos(nanos));
+            times.observe(&writer, Duration::from_nanos(nanos));
         }
         let filled: Vec<_> = times.buckets().enumerate().filter(|(_, (n, _))| *n > 0).collect();
         let expected = [

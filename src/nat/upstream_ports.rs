@@ -1,12 +1,13 @@
 //! Which of the router's upstream sockets a flow uses towards its server.
 //!
 //! One socket serves many clients, but at each server only one of them: an answer shows nothing but
-//! the pair (socket, server) that it belongs to. A client keeps the same socket where possible, so
-//! that the servers' tables of dynamic clients do not fill up.
+//! the socket and the server that it belongs to. So a flow has a lease on its pair (socket, server). A
+//! client keeps the same socket where possible, so that the servers' tables of dynamic clients do
+//! not fill up.
 //!
-//! After a flow has ended, its pair rests for 120 s before another client may use it (N-9, RFC 6888
-//! REQ-8). A socket stays open as long as one of its pairs is in use or rests, so its port is not
-//! free for others either. The number of pairs of each net has a limit, and so has the number of
+//! After a flow has ended, its lease rests for 120 s before another client may have the pair (N-9,
+//! RFC 6888 REQ-8). A socket stays open as long as one of its leases is in use or rests, so its port
+//! is not free for others either. The number of leases of each net has a limit, and so has the number of
 //! sockets.
 
 use std::collections::HashMap;
@@ -15,7 +16,7 @@ use std::net::{IpAddr, SocketAddr};
 use foldhash::fast::SeedableRandomState;
 use slab::Slab;
 
-use super::budget::PairPlace;
+use super::budget::LeasePlace;
 use super::effects::Effects;
 use super::ids::UpstreamId;
 use super::net::Mapping;
@@ -25,7 +26,7 @@ use super::rules::Rules;
 use super::table::Table;
 use super::time::Nanos;
 
-/// How long a pair rests after its flow has ended.
+/// How long a lease rests after its flow has ended.
 const REST: Nanos = 120_000_000_000;
 
 /// How many open sockets are tried at random before another one is opened.
@@ -35,10 +36,10 @@ const PROBES: usize = 8;
 /// hold up all other datagrams.
 const LAST_PROBES: usize = 1024;
 
-/// How many pairs one call frees. Each may close a socket, which costs a system call.
+/// How many leases one call drops. Each may close a socket, which costs a system call.
 const AT_ONCE: usize = if cfg!(test) { 2 } else { 64 };
 
-/// The client that a pair serves, and where the client sends to. So a late answer to a flow that
+/// The client that has a lease, and where the client sends to. So a late answer to a flow that
 /// was closed and opened again still leaves from the right address and port.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Owner {
@@ -55,9 +56,9 @@ pub(super) struct Upstreams {
     open: Vec<UpstreamId>,
     /// Sockets that wait for last answers and take no new flow.
     leaving: Vec<UpstreamId>,
-    pairs: HashMap<(UpstreamId, SocketAddr), Lease, SeedableRandomState>,
+    leases: HashMap<(UpstreamId, SocketAddr), Lease, SeedableRandomState>,
     affinities: HashMap<(SocketAddr, IpAddr), ClientAffinity, SeedableRandomState>,
-    /// Resting pairs, in the order in which their rest ends. A pair that came into use again is
+    /// Resting leases, in the order in which their rest ends. A lease that came into use again is
     /// still in here.
     resting: Queue<(Nanos, UpstreamId, SocketAddr)>,
     random: fastrand::Rng,
@@ -69,8 +70,8 @@ struct Socket {
     port: u16,
     /// Its index in `open`.
     place: usize,
-    /// Pairs in use or resting.
-    pairs: u32,
+    /// Leases in use or resting.
+    leases: u32,
     state: SocketState,
 }
 
@@ -79,21 +80,21 @@ enum SocketState {
     Open,
     /// Its port is wanted for something else: it waits for last answers and takes no new flow.
     Leaving,
-    /// Closed after that. Its pairs still rest.
+    /// Closed after that. Its leases still rest.
     Closed,
 }
 
-/// The use of a pair by one client, or its rest afterwards.
+/// The use of a pair (socket, server) by one client, and its rest afterwards.
 #[derive(Debug)]
 struct Lease {
     owner: Owner,
-    state: PairState,
-    _place: PairPlace,
+    state: LeaseState,
+    _place: LeasePlace,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
-enum PairState {
-    Used,
+enum LeaseState {
+    InUse,
     RestsUntil(Nanos),
 }
 
@@ -102,18 +103,18 @@ enum PairState {
 #[derive(Debug)]
 struct ClientAffinity {
     socket: UpstreamId,
-    /// The client's pairs in use or resting, on whichever socket.
-    pairs: u32,
+    /// The client's leases in use or resting, on whichever socket.
+    leases: u32,
 }
 
 impl Upstreams {
-    /// No sockets, and memory for the pairs of this many flows.
+    /// No sockets, and memory for the leases of this many flows.
     pub(super) fn new(hash: SeedableRandomState, random: fastrand::Rng, capacity: usize) -> Self {
         Self {
             sockets: Slab::new(),
             open: Vec::new(),
             leaving: Vec::new(),
-            pairs: HashMap::with_capacity_and_hasher(capacity, hash.clone()),
+            leases: HashMap::with_capacity_and_hasher(capacity, hash.clone()),
             affinities: HashMap::with_capacity_and_hasher(capacity, hash),
             resting: Queue::new(),
             random,
@@ -121,7 +122,7 @@ impl Upstreams {
     }
 
     /// Finds a socket for a flow on which nobody else talks to its server, and returns it with its
-    /// port. Fails with [`FlowLimit`](DropReason::FlowLimit) when as many pairs as allowed are in
+    /// port. Fails with [`FlowLimit`](DropReason::FlowLimit) when as many leases as allowed are in
     /// use or rest, and with [`UpstreamExhausted`](DropReason::UpstreamExhausted) when there is no
     /// such socket and no other can be opened.
     pub(super) fn assign(
@@ -134,25 +135,25 @@ impl Upstreams {
         let server = mapping.server;
         let kept = self.kept_socket(owner, server);
         if let Some(socket) = kept
-            && let Some(pair) = self.pairs.get_mut(&(socket, server))
+            && let Some(lease) = self.leases.get_mut(&(socket, server))
         {
-            pair.state = PairState::Used; // the client's own pair, which rests
+            lease.state = LeaseState::InUse; // the client's own, which rests
             return Ok((socket, self.sockets[socket.key()].port));
         }
-        let place = rules.budget.take_pair(mapping.net).ok_or(DropReason::FlowLimit)?;
+        let place = rules.budget.take_lease(mapping.net).ok_or(DropReason::FlowLimit)?;
         let socket = kept
             .or_else(|| self.probe(owner, server))
             .or_else(|| self.open(&rules.table, mapping, effects))
             .or_else(|| self.search(owner, server))
             .ok_or(DropReason::UpstreamExhausted)?;
-        let used = Lease { owner, state: PairState::Used, _place: place };
-        if self.pairs.insert((socket, server), used).is_none() {
-            self.sockets[socket.key()].pairs += 1;
+        let lease = Lease { owner, state: LeaseState::InUse, _place: place };
+        if self.leases.insert((socket, server), lease).is_none() {
+            self.sockets[socket.key()].leases += 1;
             let affinity = self
                 .affinities
                 .entry(owner.affinity())
-                .or_insert(ClientAffinity { socket, pairs: 0 });
-            affinity.pairs += 1;
+                .or_insert(ClientAffinity { socket, leases: 0 });
+            affinity.leases += 1;
             let kept = self.sockets.get(affinity.socket.key());
             if kept.is_some_and(|socket| socket.state != SocketState::Open) {
                 affinity.socket = socket;
@@ -199,25 +200,25 @@ impl Upstreams {
         !self.leaving.is_empty()
     }
 
-    /// Ends the use of a pair; it begins to rest.
+    /// Ends the use of a lease. It begins to rest.
     pub(super) fn release(&mut self, socket: UpstreamId, server: SocketAddr, now: Nanos) {
-        if let Some(pair) = self.pairs.get_mut(&(socket, server)) {
+        if let Some(lease) = self.leases.get_mut(&(socket, server)) {
             let end = now + REST;
-            pair.state = PairState::RestsUntil(end);
+            lease.state = LeaseState::RestsUntil(end);
             self.resting.push((end, socket, server));
         }
     }
 
-    /// Frees pairs whose rest is over, and closes sockets without a pair. Each call does a part of
+    /// Drops leases whose rest is over, and closes sockets without a lease. Each call does a part of
     /// it; true means that there may be more.
     pub(super) fn expire(&mut self, now: Nanos, effects: &mut impl Effects) -> bool {
         for _ in 0..AT_ONCE {
             let rested = self.resting.pop_if(|&(end, ..)| end <= now);
             let Some((end, socket, server)) = rested else { return false };
-            let Some(pair) = self.pairs.get(&(socket, server)) else { continue };
-            let (owner, state) = (pair.owner, pair.state);
-            if state == PairState::RestsUntil(end) {
-                self.pairs.remove(&(socket, server));
+            let Some(lease) = self.leases.get(&(socket, server)) else { continue };
+            let (owner, state) = (lease.owner, lease.state);
+            if state == LeaseState::RestsUntil(end) {
+                self.leases.remove(&(socket, server));
                 self.leave_affinity(owner);
                 self.leave_socket(socket, effects);
             }
@@ -229,30 +230,31 @@ impl Upstreams {
         self.sockets.is_empty()
     }
 
-    /// Pairs in use or resting.
+    /// Leases in use or resting.
     #[cfg(test)]
-    pub(super) fn pairs(&self) -> usize {
-        self.pairs.len()
+    pub(super) fn leases(&self) -> usize {
+        self.leases.len()
     }
 
     /// Panics where the tables do not agree with each other.
     #[cfg(test)]
     pub(super) fn check_invariants(&self, flows: usize) {
-        let used = |pair: &&Lease| matches!(pair.state, PairState::Used);
-        assert_eq!(self.pairs.values().filter(used).count(), flows);
+        let in_use = |lease: &&Lease| matches!(lease.state, LeaseState::InUse);
+        assert_eq!(self.leases.values().filter(in_use).count(), flows);
         let are = |state| move |socket: &(usize, &Socket)| socket.1.state == state;
         let count = |state| self.sockets.iter().filter(are(state)).count();
         assert_eq!(self.open.len(), count(SocketState::Open));
         assert_eq!(self.leaving.len(), count(SocketState::Leaving));
         for (key, socket) in &self.sockets {
-            let pairs = self.pairs.keys().filter(|(id, _)| id.key() == key).count();
-            assert_eq!(pairs, socket.pairs as usize);
-            assert!(pairs > 0, "a socket that nothing needs is closed");
+            let leases = self.leases.keys().filter(|(id, _)| id.key() == key).count();
+            assert_eq!(leases, socket.leases as usize);
+            assert!(leases > 0, "a socket that nothing needs is closed");
             assert!(socket.state != SocketState::Open || self.open[socket.place].key() == key);
         }
         for (key, affinity) in &self.affinities {
-            let pairs = self.pairs.values().filter(|pair| pair.owner.affinity() == *key).count();
-            assert_eq!(pairs, affinity.pairs as usize);
+            let leases =
+                self.leases.values().filter(|lease| lease.owner.affinity() == *key).count();
+            assert_eq!(leases, affinity.leases as usize);
         }
     }
 
@@ -287,34 +289,34 @@ impl Upstreams {
         let socket = UpstreamId(u32::try_from(place.key()).ok()?);
         let port = effects.open_upstream(table, socket, to.net, to.server.is_ipv4())?;
         let (ipv4, at) = (to.server.is_ipv4(), self.open.len());
-        place.insert(Socket { ipv4, port, place: at, pairs: 0, state: SocketState::Open });
+        place.insert(Socket { ipv4, port, place: at, leases: 0, state: SocketState::Open });
         self.open.push(socket);
         Some(socket)
     }
 
     fn may_use(&self, socket: UpstreamId, owner: Owner, server: SocketAddr) -> bool {
-        // The client's socket may be closed while the client still has pairs on others.
+        // The client's socket may be closed while the client still has leases on others.
         self.sockets.get(socket.key()).is_some_and(|socket| {
             socket.ipv4 == server.is_ipv4() && socket.state == SocketState::Open
-        }) && self.pairs.get(&(socket, server)).is_none_or(|pair| {
-            // For the client that it served, a pair need not rest.
-            pair.owner == owner && matches!(pair.state, PairState::RestsUntil(_))
+        }) && self.leases.get(&(socket, server)).is_none_or(|lease| {
+            // The client that had the lease need not wait.
+            lease.owner == owner && matches!(lease.state, LeaseState::RestsUntil(_))
         })
     }
 
     fn leave_affinity(&mut self, owner: Owner) {
         if let Some(affinity) = self.affinities.get_mut(&owner.affinity()) {
-            affinity.pairs -= 1;
-            if affinity.pairs == 0 {
+            affinity.leases -= 1;
+            if affinity.leases == 0 {
                 self.affinities.remove(&owner.affinity());
             }
         }
     }
 
     fn leave_socket(&mut self, socket: UpstreamId, effects: &mut impl Effects) {
-        let pairs = &mut self.sockets[socket.key()].pairs;
-        *pairs -= 1;
-        if *pairs == 0 {
+        let leases = &mut self.sockets[socket.key()].leases;
+        *leases -= 1;
+        if *leases == 0 {
             let Socket { place, state, .. } = self.sockets.remove(socket.key());
             match state {
                 SocketState::Open => self.forget(place),

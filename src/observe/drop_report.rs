@@ -173,6 +173,7 @@ mod tests {
     use super::*;
     use crate::config::fixture::{NODE_1, NODE_33, SECTION, config};
     use crate::logging::tests::logged;
+    use crate::nat::Writer;
 
     /// Writes one report and returns its lines.
     fn report(drops: &mut DropReport) -> Vec<Value> {
@@ -180,12 +181,12 @@ mod tests {
     }
 
     fn drop_some(router: &Router, reason: DropReason, sources: impl Iterator<Item = u64>) {
-        let in_force = router.in_force();
+        let (in_force, writer) = (router.in_force(), Writer::of_worker());
         for ((source, worker), now) in sources.zip(in_force.counters.iter().cycle()).zip(1..) {
             let sender = Ipv4Addr::from([198, 51, 100, source as u8]).into();
             let node = worker.node(if source % 2 == 0 { NODE_1 } else { NODE_33 });
-            node.direction(Direction::Request).dropped(reason).add(1);
-            worker.net(SECTION).note_source(reason, now, sender, source);
+            node.direction(Direction::Request).dropped(reason).add(&writer, 1);
+            worker.net(SECTION).note_source(&writer, reason, now, sender, source);
         }
     }
 
@@ -250,7 +251,9 @@ mod tests {
         let of_turned = turned.in_force();
         for (mapping, count) in [carried, (NODE_33.0, 7)] {
             let node = of_turned.counters[0].node(MappingId(mapping));
-            node.direction(Direction::Request).dropped(DropReason::BadHeader).add(count);
+            node.direction(Direction::Request)
+                .dropped(DropReason::BadHeader)
+                .add(&Writer::of_worker(), count);
         }
         drops.router = turned;
         let lines = report(&mut drops);

@@ -285,6 +285,7 @@ impl NetTotals {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::nat::Writer;
 
     const SECOND: u64 = 1_000_000_000;
 
@@ -292,10 +293,10 @@ mod tests {
     /// request, the last response and the first unanswered request, in seconds.
     fn presence_at(now: u64, workers: [[u64; 3]; 2]) -> Presence {
         let nodes = workers.map(|[request, response, since]| {
-            let node = NodeCounters::default();
-            node.last_request.set(request * SECOND);
-            node.last_response.set(response * SECOND);
-            node.unanswered_since.set(since * SECOND);
+            let (node, writer) = (NodeCounters::default(), Writer::of_worker());
+            node.last_request.set(&writer, request * SECOND);
+            node.last_response.set(&writer, response * SECOND);
+            node.unanswered_since.set(&writer, since * SECOND);
             node
         });
         NodeTotals::sum(nodes.iter()).presence(Duration::from_secs(now))
@@ -323,10 +324,11 @@ mod tests {
     /// Median and 99 % quantile of nodes with these response times and numbers of answers.
     fn quantiles(workers: &[&[(u64, u32)]]) -> [Option<Duration>; 2] {
         let nodes = workers.iter().map(|times| {
-            let node = NodeCounters::default();
+            let (node, writer) = (NodeCounters::default(), Writer::of_worker());
             for &(micros, answers) in *times {
-                (0..answers)
-                    .for_each(|_| node.response_times.observe(Duration::from_micros(micros)));
+                (0..answers).for_each(|_| {
+                    node.response_times.observe(&writer, Duration::from_micros(micros))
+                });
             }
             node
         });

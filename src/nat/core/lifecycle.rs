@@ -66,8 +66,8 @@ impl Core {
         };
         effects.flow_opened(&self.rules.table, &flow.record(now));
         let net = self.counters.net(mapping.net);
-        net.flows.add(1);
-        net.flows_opened.add(1);
+        net.flows.add(&self.writer, 1);
+        net.flows_opened.add(&self.writer, 1);
         let id = self.flows.insert(flow);
         self.wheel.file(id, self.idle_at(id));
         Ok(id)
@@ -164,8 +164,8 @@ impl Core {
         let net = rules.table.mapping(flow.mapping).net;
         rules.budget.give(net);
         let net = counters.net(net);
-        net.flows.sub(1);
-        net.flows_closed(reason).add(1);
+        net.flows.sub(&self.writer, 1);
+        net.flows_closed(reason).add(&self.writer, 1);
         effects.flow_closed(&rules.table, &flow.record(now), reason);
     }
 }

@@ -21,6 +21,7 @@ use std::time::Instant;
 use foldhash::fast::FixedState;
 
 use super::chance::Chance;
+use super::counter::Writer;
 use super::counters::Counters;
 use super::effects::Effects;
 use super::flow::{Flow, FlowRecord};
@@ -54,6 +55,7 @@ const AT_ONCE: usize = if cfg!(test) { 2 } else { 256 };
 pub struct Core {
     rules: Rules,
     counters: Arc<Counters>,
+    writer: Writer,
     flows: Flows,
     /// When each flow has to be looked at because it may have been idle for too long.
     wheel: Wheel,
@@ -79,6 +81,7 @@ impl Core {
         Self {
             rules,
             counters,
+            writer: Writer::of_worker(),
             flows: Flows::new(hash.clone(), capacity),
             wheel: Wheel::new(capacity),
             era: 0,
@@ -103,9 +106,9 @@ impl Core {
     ) {
         let now = self.nanos(now);
         let node = self.counters.node(mapping);
-        node.direction(Direction::Request).forwarded(octets);
+        node.direction(Direction::Request).forwarded(&self.writer, octets);
         if let Some(id) = asks {
-            node.asked(now);
+            node.asked(&self.writer, now);
             if let Some(flow) = self.flows.find_mut(id) {
                 flow.answers.asked(now);
             }
@@ -115,12 +118,13 @@ impl Core {
     /// Counts a response that the system took.
     #[inline]
     pub fn response_sent(&self, mapping: MappingId, octets: usize) {
-        self.counters.node(mapping).direction(Direction::Response).forwarded(octets);
+        self.counters.node(mapping).direction(Direction::Response).forwarded(&self.writer, octets);
     }
 
     /// Counts a datagram that the system refused to send.
     pub fn send_failed(&self, mapping: MappingId, direction: Direction) {
-        self.counters.node(mapping).direction(direction).dropped(DropReason::SendFailed).add(1);
+        let counters = self.counters.node(mapping).direction(direction);
+        counters.dropped(DropReason::SendFailed).add(&self.writer, 1);
     }
 
     /// Closes every flow.
@@ -161,7 +165,7 @@ impl Core {
     #[inline]
     fn note_source(&self, reason: DropReason, now: Nanos, mapping: MappingId, sender: IpAddr) {
         let net = self.counters.net(self.rules.table.mapping(mapping).net);
-        net.note_source(reason, now, sender, SOURCE_HASH.hash_one(sender));
+        net.note_source(&self.writer, reason, now, sender, SOURCE_HASH.hash_one(sender));
     }
 
     /// A time as flows keep it.

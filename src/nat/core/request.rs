@@ -39,9 +39,9 @@ impl Core {
         let now = self.nanos(now);
         let verdict = self.judge_request(now, arrival, octets, effects);
         let node = self.counters.node(arrival.mapping).direction(Direction::Request);
-        node.received.add(1);
+        node.received.add(&self.writer, 1);
         if let Err(reason) = verdict {
-            node.dropped(reason).add(1);
+            node.dropped(reason).add(&self.writer, 1);
             self.note_source(reason, now, arrival.mapping, arrival.client.ip());
         }
         verdict
@@ -90,7 +90,7 @@ impl Core {
                 flow.noted = now;
                 self.rules.known.note(mapping.net, arrival.client.ip(), now);
             }
-            self.counters.accepted(mapping.net)[index].add(1);
+            self.counters.accepted(mapping.net)[index].add(&self.writer, 1);
             let credential = &self.rules.table.net(mapping.net).credentials[index];
             if let Some(device) = &credential.device_password {
                 protocol::replace_password(octets, device);

@@ -47,9 +47,9 @@ impl Core {
         };
         let node = mapping.map_or(&*self.counters.stray, |mapping| self.counters.node(mapping));
         let node = node.direction(Direction::Response);
-        node.received.add(1);
+        node.received.add(&self.writer, 1);
         if let Err(reason) = verdict {
-            node.dropped(reason).add(1);
+            node.dropped(reason).add(&self.writer, 1);
             if let Some(mapping) = mapping {
                 self.note_source(reason, self.nanos(now), mapping, server.ip());
             }
@@ -87,9 +87,9 @@ impl Core {
         }
         flow.last_used = now; // N-3
         let node = self.counters.node(flow.mapping);
-        node.answered(now);
+        node.answered(&self.writer, now);
         if let Some(response_time) = flow.answers.came(now) {
-            node.response_times.observe(response_time);
+            node.response_times.observe(&self.writer, response_time);
         }
         Ok(ToClient {
             via: flow.endpoints.listener,

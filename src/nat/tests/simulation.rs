@@ -510,7 +510,7 @@ impl World {
                 let full = open[usize::from(mapping.net.0)] >= u64::from(net.max_flows)
                     || open[open.len() - 1] >= u64::from(limits.max_flows);
                 let budget = &self.workers[worker].rules.budget;
-                let full = full || !budget.has_room_for_pair(mapping.net);
+                let full = full || !budget.has_room_for_lease(mapping.net);
                 assert!(full || reason != DropReason::FlowLimit, "{open:?}");
                 let effects = &self.workers[worker].effects;
                 let sockets_left = effects.ports.len() < effects.limit;
@@ -714,8 +714,8 @@ impl World {
     }
 
     fn check(&mut self) {
-        let pairs: usize = self.workers.iter().map(|worker| worker.core.upstreams.pairs()).sum();
-        assert_eq!(self.rules.budget.pairs_taken(), pairs, "each pair has its place");
+        let leases: usize = self.workers.iter().map(|worker| worker.core.upstreams.leases()).sum();
+        assert_eq!(self.rules.budget.leases_taken(), leases, "each lease has its place");
         for Worker { core, counters, effects, rules, .. } in &self.workers {
             core.check_invariants(self.now);
             let (told, flows) =

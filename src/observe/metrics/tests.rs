@@ -5,7 +5,7 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use super::*;
 use crate::config::fixture::{NODE_1, NODE_33, SECTION, config};
-use crate::nat::{CloseReason, Direction, DropReason, RESPONSE_BUCKETS};
+use crate::nat::{CloseReason, Direction, DropReason, RESPONSE_BUCKETS, Writer};
 use crate::sandbox::Sandbox;
 
 /// One scrape: the samples by their series as written, and the families with their types in order.
@@ -110,19 +110,23 @@ fn every_reason_stands_at_0_before_anything_happened() {
 
 #[test]
 fn workers_are_added_up() {
-    let router = Router::idle(config(), 2);
+    let (router, writer) = (Router::idle(config(), 2), Writer::of_worker());
     for (worker, n) in router.in_force().counters.iter().zip([3, 40]) {
         let requests = worker.node(NODE_33).direction(Direction::Request);
-        requests.received.add(n);
-        requests.forwarded.add(n - 1);
-        requests.forwarded_bytes.add(20 * (n - 1));
-        requests.dropped(DropReason::PasswordWrong).add(1);
-        worker.net(SECTION).flows.add(n);
-        worker.net(SECTION).flows_opened.add(n + 1);
-        worker.net(SECTION).flows_closed(CloseReason::Idle).add(1);
-        worker.accepted(SECTION)[1].add(n);
-        worker.stray.direction(Direction::Response).received.add(n);
-        worker.stray.direction(Direction::Response).dropped(DropReason::UnknownFlow).add(n);
+        requests.received.add(&writer, n);
+        requests.forwarded.add(&writer, n - 1);
+        requests.forwarded_bytes.add(&writer, 20 * (n - 1));
+        requests.dropped(DropReason::PasswordWrong).add(&writer, 1);
+        worker.net(SECTION).flows.add(&writer, n);
+        worker.net(SECTION).flows_opened.add(&writer, n + 1);
+        worker.net(SECTION).flows_closed(CloseReason::Idle).add(&writer, 1);
+        worker.accepted(SECTION)[1].add(&writer, n);
+        worker.stray.direction(Direction::Response).received.add(&writer, n);
+        worker
+            .stray
+            .direction(Direction::Response)
+            .dropped(DropReason::UnknownFlow)
+            .add(&writer, n);
     }
     let scrape = Scrape::of(&router);
     let node_33 = "net=\"section-1\",node=\"33\",direction=\"request\"";
@@ -148,10 +152,10 @@ fn workers_are_added_up() {
 
 #[test]
 fn the_histogram_is_cumulative_and_ends_with_the_count() {
-    let router = Router::idle(config(), 2);
+    let (router, writer) = (Router::idle(config(), 2), Writer::of_worker());
     let times = [150, 900, 900, 7_000, 60_000_000].map(Duration::from_micros);
     for (worker, time) in router.in_force().counters.iter().cycle().zip(times) {
-        worker.node(NODE_1).response_times.observe(time);
+        worker.node(NODE_1).response_times.observe(&writer, time);
     }
     let scrape = Scrape::of(&router);
     let node = "net=\"section-1\",node=\"1\"";
@@ -167,9 +171,9 @@ fn the_histogram_is_cumulative_and_ends_with_the_count() {
 
 #[test]
 fn the_last_response_is_the_latest_of_all_workers_in_unix_time() {
-    let router = Router::idle(config(), 2);
+    let (router, writer) = (Router::idle(config(), 2), Writer::of_worker());
     for (worker, nanos) in router.in_force().counters.iter().zip([2_500_000_000, 1_000_000_000]) {
-        worker.node(NODE_1).last_response.set(nanos);
+        worker.node(NODE_1).last_response.set(&writer, nanos);
     }
     let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap().as_secs_f64();
     let scrape = Scrape::of(&router);
@@ -183,7 +187,7 @@ fn the_last_response_is_the_latest_of_all_workers_in_unix_time() {
 #[test]
 fn who_waits_for_an_answer_is_told_since_when_in_unix_time() {
     let router = Router::idle(config(), 2);
-    let in_force = router.in_force();
+    let (in_force, writer) = (router.in_force(), Writer::of_worker());
     let [first, second] = [&in_force.counters[0], &in_force.counters[1]];
     let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap().as_secs_f64();
     let waiting = || {
@@ -192,12 +196,12 @@ fn who_waits_for_an_answer_is_told_since_when_in_unix_time() {
         (since > 0.0).then(|| (since - now).round())
     };
     assert_eq!(waiting(), None);
-    first.node(NODE_1).last_request.set(20_000_000_000);
-    first.node(NODE_1).unanswered_since.set(10_000_000_000);
+    first.node(NODE_1).last_request.set(&writer, 20_000_000_000);
+    first.node(NODE_1).unanswered_since.set(&writer, 10_000_000_000);
     assert_eq!(waiting(), Some(10.0));
-    second.node(NODE_1).last_response.set(15_000_000_000);
+    second.node(NODE_1).last_response.set(&writer, 15_000_000_000);
     assert_eq!(waiting(), Some(15.0), "another worker passed on an answer");
-    second.node(NODE_1).last_response.set(25_000_000_000);
+    second.node(NODE_1).last_response.set(&writer, 25_000_000_000);
     assert_eq!(waiting(), None, "it answers others");
 }
 
@@ -209,7 +213,7 @@ fn text_comes_net_by_net_and_only_when_asked_for() {
     assert!(first.contains("section-1") && !first.contains("press"), "{first}");
     let in_force = router.in_force();
     let press = in_force.counters[0].node(crate::nat::MappingId(1));
-    press.direction(Direction::Request).received.add(9);
+    press.direction(Direction::Request).received.add(&Writer::of_worker(), 9);
     let second = chunks.next().unwrap();
     assert!(second.contains("node=\"7\",direction=\"request\"} 9\n"), "{second}");
 }
