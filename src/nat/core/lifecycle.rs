@@ -77,9 +77,11 @@ impl Core {
     /// more, and reports senders whose throttling is over. To be called about once a second. Each
     /// call does a part of the work; true means that it should be called again at once.
     pub fn expire(&mut self, now: Instant, effects: &mut impl Effects) -> bool {
+        let nanos = self.nanos(now);
+        let more = self.end_left(nanos, effects);
         self.close_left(now, effects);
-        let now = self.nanos(now);
-        if self.upstreams.expire(now, effects) {
+        let now = nanos;
+        if self.upstreams.expire(now, effects) || more {
             return true;
         }
         for _ in 0..AT_ONCE {
@@ -132,10 +134,20 @@ impl Core {
     /// Closes the sockets whose ports are wanted for something else and that wait for no answer any
     /// more. True while others still wait.
     pub fn close_left(&mut self, now: Instant, effects: &mut impl Effects) -> bool {
+        self.end_left(self.nanos(now), effects);
         if self.going_over.is_some() {
-            return true; // any number of flows may still be on them
+            return true;
         }
-        let now = self.nanos(now);
+        let used: BTreeSet<_> =
+            self.leaving.iter().map(|&id| self.flows.get(id).upstream).collect();
+        self.upstreams.close_left(|id| used.contains(&id), effects)
+    }
+
+    /// Closes some of the flows that wait for no last answer any more. True if there may be others.
+    fn end_left(&mut self, now: Nanos, effects: &mut impl Effects) -> bool {
+        if self.going_over.is_some() {
+            return false; // any number of flows may come to them
+        }
         let mut ended = Vec::new();
         let flows = &self.flows;
         self.leaving.retain(|&id| {
@@ -147,10 +159,9 @@ impl Core {
             }
             !ends
         });
+        let more = ended.len() == AT_ONCE;
         ended.into_iter().for_each(|id| self.close(id, CloseReason::PortWanted, now, effects));
-        let used: BTreeSet<_> =
-            self.leaving.iter().map(|&id| self.flows.get(id).upstream).collect();
-        self.upstreams.close_left(|id| used.contains(&id), effects)
+        more
     }
 
     fn note_closed(

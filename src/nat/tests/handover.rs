@@ -254,6 +254,22 @@ fn the_last_answers_come_in_over_a_port_that_is_wanted() {
     assert_eq!(*closed, [(40_004, CloseReason::PortWanted); 2], "and each is told of once");
 }
 
+/// However many there are, they do not wait for a tick for each part of them.
+#[test]
+fn all_that_wait_for_no_last_answer_are_closed_within_a_tick() {
+    let mut router = Router::new(1, Site { max_flows: 9, ..SITE });
+    (1..=9).for_each(|client| _ = router.request(0, client, PASSWORD).unwrap());
+    let next = router.next(Site { max_flows: 9, ..SITE }, &[]).remove(0);
+    router.go_over(0, next);
+    router.workers[0].core.upstreams.leave(|_| true); // all of their ports are wanted
+    assert_eq!(router.settle(0).0, 9);
+    router.now += Duration::from_secs(2);
+    let Worker { core, effects, .. } = &mut router.workers[0];
+    while core.expire(router.now, effects) {}
+    assert!(core.leaving.is_empty(), "{:?}", core.leaving);
+    assert_eq!(effects.closed_sockets.len(), 9);
+}
+
 #[test]
 fn what_is_withdrawn_gets_no_last_answers() {
     let mut router = Router::new(1, SITE);
