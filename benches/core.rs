@@ -4,9 +4,6 @@
 //! which the kernel makes when a datagram arrives. Run it with `cargo bench --bench core`. A name
 //! after `--` selects cases.
 
-#[allow(dead_code)] // the benchmark of many flows uses the rest
-mod rig;
-
 use std::hint::black_box;
 use std::net::{IpAddr, Ipv4Addr};
 
@@ -16,8 +13,7 @@ use fastrand::Rng;
 use ipnet::IpNet;
 use pnet_nat::nat::DropReason;
 use pnet_nat::pnet::wire::{Datagram, Header};
-
-use rig::{
+use pnet_nat_rig::isolated_core::{
     DEVICE_PASSWORD, Flow, IDLE_TIMEOUT, PASSWORD, REST, Rig, Site, arrival, client_endpoint,
     datagram, garbage, largest_request, request, response,
 };

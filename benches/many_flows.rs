@@ -4,14 +4,10 @@
 //!
 //! Run it with `cargo bench --bench many_flows`.
 
-#[allow(dead_code)] // the benchmark of the core uses the rest
-mod rig;
-
 use std::time::Duration;
 
 use nix::time::{ClockId, clock_gettime};
-
-use rig::{IDLE_TIMEOUT, PASSWORD, REST, Rig, Site};
+use pnet_nat_rig::isolated_core::{IDLE_TIMEOUT, PASSWORD, REST, Rig, Site};
 
 const NODES: u8 = 125;
 const SECOND: Duration = Duration::from_secs(1);

@@ -5,18 +5,13 @@
 // An allocator cannot be written without unsafe code. This one hands every call on to the system's.
 #![allow(unsafe_code)]
 
-#[allow(dead_code)] // the benchmark of the core uses the rest
-#[path = "../benches/rig/mod.rs"]
-mod rig;
-
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 use std::net::{Ipv4Addr, SocketAddr};
 use std::time::Duration;
 
 use pnet_nat::nat::{Arrival, DropReason, RequestRate};
-
-use rig::{
+use pnet_nat_rig::isolated_core::{
     DEVICE_PASSWORD, Flow, PASSWORD, REST, Rig, Site, arrival, client_endpoint, datagram, garbage,
     largest_request, request, response, server,
 };

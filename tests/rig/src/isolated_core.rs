@@ -18,14 +18,14 @@ use pnet_nat::nat::{
 use pnet_nat::pnet::wire::{Header, Password};
 
 /// What clients send.
-pub(crate) const PASSWORD: &[u8; 8] = b"PNETPASS";
+pub const PASSWORD: &[u8; 8] = b"PNETPASS";
 /// What nodes expect if they have another password.
-pub(crate) const DEVICE_PASSWORD: &[u8; 8] = b"plant-pw";
+pub const DEVICE_PASSWORD: &[u8; 8] = b"plant-pw";
 
 /// A flow ends after this time without a datagram.
-pub(crate) const IDLE_TIMEOUT: Duration = Duration::from_secs(300);
+pub const IDLE_TIMEOUT: Duration = Duration::from_secs(300);
 /// A socket is closed this long after its last flow has ended (N-9).
-pub(crate) const REST: Duration = Duration::from_secs(120);
+pub const REST: Duration = Duration::from_secs(120);
 
 const PUBLIC: Ipv4Addr = Ipv4Addr::new(203, 0, 113, 5);
 const START_PORT: u16 = 40_000;
@@ -35,21 +35,21 @@ const PORTS_OF_AN_ADDRESS: u32 = 250;
 
 /// What differs between the cases.
 #[derive(Clone)]
-pub(crate) struct Site {
+pub struct Site {
     /// The number of nodes. Their addresses begin with 1.
-    pub(crate) nodes: u8,
+    pub nodes: u8,
     /// Flows that may be open at once.
-    pub(crate) max_flows: u32,
+    pub max_flows: u32,
     /// Requests that the net, and each flow, may send.
-    pub(crate) max_requests: Option<RequestRate>,
+    pub max_requests: Option<RequestRate>,
     /// Upstream sockets that may be open at once.
-    pub(crate) sockets: usize,
+    pub sockets: usize,
     /// Whether the nodes expect another password than the clients send.
-    pub(crate) device_password: bool,
+    pub device_password: bool,
     /// What clients send.
-    pub(crate) password: &'static [u8; 8],
+    pub password: &'static [u8; 8],
     /// Networks that clients may come from.
-    pub(crate) allow: Vec<IpNet>,
+    pub allow: Vec<IpNet>,
 }
 
 impl Default for Site {
@@ -101,16 +101,19 @@ impl Site {
 }
 
 /// A core, and the time.
-pub(crate) struct Rig {
-    pub(crate) core: Core,
-    pub(crate) effects: NoSockets,
-    pub(crate) now: Instant,
+pub struct Rig {
+    /// What is tested or measured.
+    pub core: Core,
+    /// Its upstream sockets.
+    pub effects: NoSockets,
+    /// The simulated time.
+    pub now: Instant,
     rules: Rules,
     counters: Arc<Counters>,
 }
 
 /// Upstream sockets that are only counted.
-pub(crate) struct NoSockets {
+pub struct NoSockets {
     open: usize,
     limit: usize,
 }
@@ -133,7 +136,7 @@ impl Effects for NoSockets {
 
 impl Rig {
     /// A core without flows.
-    pub(crate) fn new(site: &Site) -> Self {
+    pub fn new(site: &Site) -> Self {
         let (table, limits) = site.table_and_limits();
         let rules = Rules::new(table, limits);
         let counters = Arc::new(Counters::new(&rules.table));
@@ -143,7 +146,7 @@ impl Rig {
     }
 
     /// What the core goes over to when the net becomes this one.
-    pub(crate) fn succession(&mut self, site: &Site) -> Succession {
+    pub fn succession(&mut self, site: &Site) -> Succession {
         let (table, limits) = site.table_and_limits();
         let rules = self.rules.followed_by(table, limits);
         let counters = self.counters.followed_by(&self.rules.table, &rules.table);
@@ -154,12 +157,12 @@ impl Rig {
     }
 
     /// Closes all that has to be closed by now.
-    pub(crate) fn expire(&mut self) {
+    pub fn expire(&mut self) {
         while self.core.expire(self.now, &mut self.effects) {}
     }
 
     /// Opens flow `number` with its first request.
-    pub(crate) fn open(&mut self, number: u32, nodes: u8) -> Flow {
+    pub fn open(&mut self, number: u32, nodes: u8) -> Flow {
         let (client, node_address) = (number / u32::from(nodes), number % u32::from(nodes));
         let (client, node_address) = (client_endpoint(client), node_address as u8 + 1);
         let arrival = arrival(client, node_address);
@@ -170,29 +173,31 @@ impl Rig {
     }
 
     /// Opens flows until so many are open: every client talks to every node.
-    pub(crate) fn open_all(&mut self, flows: u32, nodes: u8) -> Vec<Flow> {
+    pub fn open_all(&mut self, flows: u32, nodes: u8) -> Vec<Flow> {
         (0..flows).map(|number| self.open(number, nodes)).collect()
     }
 }
 
 /// A client's address and port, and the node that it talks to.
 #[derive(Clone, Copy)]
-pub(crate) struct Flow {
-    pub(crate) client: SocketAddr,
-    pub(crate) node_address: u8,
+pub struct Flow {
+    /// Where its requests come from.
+    pub client: SocketAddr,
+    /// The node that it leads to.
+    pub node_address: u8,
     /// Where its requests go.
-    pub(crate) to: ToServer,
+    pub to: ToServer,
 }
 
 impl Flow {
     /// How its requests arrive.
-    pub(crate) fn arrival(&self) -> Arrival {
+    pub fn arrival(&self) -> Arrival {
         arrival(self.client, self.node_address)
     }
 }
 
 /// A request of this client to this node's public port.
-pub(crate) fn arrival(client: SocketAddr, node_address: u8) -> Arrival {
+pub fn arrival(client: SocketAddr, node_address: u8) -> Arrival {
     let index = u32::from(node_address) - 1;
     Arrival {
         listener: ListenerId(index),
@@ -203,43 +208,43 @@ pub(crate) fn arrival(client: SocketAddr, node_address: u8) -> Arrival {
 }
 
 /// The address and port of the client with this number, in 10.0.0.0/8.
-pub(crate) fn client_endpoint(number: u32) -> SocketAddr {
+pub fn client_endpoint(number: u32) -> SocketAddr {
     let address = Ipv4Addr::from_bits(0x0a00_0001 + number / PORTS_OF_AN_ADDRESS);
     (address, 20_000 + (number % PORTS_OF_AN_ADDRESS) as u16).into()
 }
 
 /// The Secure port of a node.
-pub(crate) fn server(node_address: u8) -> SocketAddr {
+pub fn server(node_address: u8) -> SocketAddr {
     (Ipv4Addr::new(172, 17, 17, node_address), SERVER_PORT).into()
 }
 
 /// A request with 16 data octets: 38 octets, as a client that reads a few variables sends.
-pub(crate) fn request(node_address: u8) -> [u8; 38] {
+pub fn request(node_address: u8) -> [u8; 38] {
     let route = [0x02, node_address, 0x05, 0x02, 0x33, 0xfd, 0x81, 0xb1];
     datagram(&route, &[7; 16], PASSWORD).try_into().unwrap()
 }
 
 /// The answer to [`request`], with this password.
-pub(crate) fn response(node_address: u8, password: &[u8; 8]) -> [u8; 38] {
+pub fn response(node_address: u8, password: &[u8; 8]) -> [u8; 38] {
     let route = [0x31, 0x01, 0x05, 0x7d, 0xb3, 0x82, 0x80 | node_address, 0x82];
     datagram(&route, &[9; 16], password).try_into().unwrap()
 }
 
 /// The largest request: 107 octets, a route of 30 and 63 data octets.
-pub(crate) fn largest_request(node_address: u8) -> [u8; 107] {
+pub fn largest_request(node_address: u8) -> [u8; 107] {
     let mut route = [0x81; 30];
     route[..3].copy_from_slice(&[0x02, node_address, 27]);
     datagram(&route, &[7; 63], PASSWORD).try_into().unwrap()
 }
 
 /// Header, route, control-status, data-field-format, data octets, password.
-pub(crate) fn datagram(route: &[u8], data_octets: &[u8], password: &[u8]) -> Vec<u8> {
+pub fn datagram(route: &[u8], data_octets: &[u8], password: &[u8]) -> Vec<u8> {
     let control = [0x02, data_octets.len() as u8];
     [&[2, 0, 0, 0], route, &control, data_octets, password].concat()
 }
 
 /// These octets, and up to 120 random ones after them.
-pub(crate) fn garbage(random: &mut Rng, start: &[u8]) -> Vec<u8> {
+pub fn garbage(random: &mut Rng, start: &[u8]) -> Vec<u8> {
     let more = random.usize(16..120);
     let noise = std::iter::repeat_with(|| random.u8(..)).take(more);
     start.iter().copied().chain(noise).collect()
