@@ -1,21 +1,17 @@
 //! What strangers and operators may send, on every run of the tests: the corpus that fuzzing has
 //! gathered, and random changes of it.
 //!
-//! What has to hold is written in `fuzz/src`, where `cargo fuzz` looks for octets that break it.
-
-#[allow(unreachable_pub)] // public for the fuzzer, which is another crate
-#[path = "../fuzz/src/lib.rs"]
-mod targets;
+//! What has to hold is written in `tests/rig/src/targets`. `cargo fuzz` looks for octets
+//! that break it.
 
 use std::fs;
 use std::path::Path;
 
+use pnet_nat_rig::targets::{codec, configuration, core};
 use proptest::collection::vec;
 use proptest::prelude::*;
 use proptest::sample::{Index, select};
 use proptest::test_runner::TestRunner;
-
-use targets::{codec, configuration, core};
 
 #[test]
 fn any_octets_are_read_or_refused_by_the_codec() {

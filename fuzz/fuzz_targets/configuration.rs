@@ -1,3 +1,3 @@
 #![no_main]
 
-libfuzzer_sys::fuzz_target!(|octets: &[u8]| pnet_nat_fuzz::configuration::holds(octets));
+libfuzzer_sys::fuzz_target!(|octets: &[u8]| pnet_nat_rig::targets::configuration::holds(octets));

@@ -1,3 +1,4 @@
-//! What several tests and benchmarks share. It is compiled once for all of them.
+//! What several tests, benchmarks and fuzz targets share. It is compiled once for all of them.
 
 pub mod isolated_core;
+pub mod targets;

@@ -1,8 +1,8 @@
 //! What has to hold for any input, one module for each fuzz target. A target takes any octets and
 //! panics if something is wrong.
 //!
-//! `cargo fuzz` looks for such octets. `tests/fuzz.rs` of the relay runs the same functions with
-//! the corpus and with random changes of it.
+//! `cargo fuzz` looks for such octets. `tests/fuzz.rs` runs the same functions with the corpus and
+//! with random changes of it.
 
 pub mod codec;
 pub mod configuration;
