@@ -1,4 +1,5 @@
-//! What crosses modules, shown on the real binary: one file a subject, one `harness` for all.
+//! What crosses modules, shown on the real binary: one file a subject, and the
+//! harness of `tests/rig` for all.
 //!
 //! Nothing leaves the machine: every address is of 127/8 or of a network namespace that the test
 //! made. Each scenario has a /24 of loopback to itself, so they run side by side. A scenario that
@@ -20,7 +21,6 @@ mod failover;
 mod faults;
 mod floods;
 mod forged;
-mod harness;
 mod killed;
 mod kubernetes;
 mod loops;
@@ -40,3 +40,5 @@ mod unicast;
 mod upstream_ports;
 mod watching;
 mod wireshark;
+
+use pnet_nat_rig::harness;

@@ -1,6 +1,7 @@
 //! The status page in a real browser.
 
 use std::fs;
+use std::path::Path;
 use std::time::Duration;
 
 use serde_json::{Value, json};
@@ -13,6 +14,10 @@ use crate::scale::large_relay;
 
 const ENTER: &str = "\u{e007}";
 const TAB: &str = "\u{e004}";
+
+/// The accessibility checker axe-core, at the place where `.ci/run` puts it.
+const AXE: &str = concat!(env!("CARGO_TARGET_TMPDIR"), "/axe/axe_playwright_python/axe.min.js");
+const SCREENSHOTS: &str = concat!(env!("CARGO_TARGET_TMPDIR"), "/status-page");
 
 /// `pnet-nat node` for one node.
 fn simulated_node(site: &Site, node_address: u8) -> Process {
@@ -240,7 +245,17 @@ fn the_banner_leads_to_the_node_itself() {
 
 #[track_caller]
 fn expect_no_accessibility_faults(browser: &Browser, state: &str) {
-    assert_eq!(browser.accessibility_faults().unwrap_or_default(), [""; 0], "{state}");
+    assert_eq!(
+        browser.accessibility_faults(Path::new(AXE)).unwrap_or_default(),
+        [""; 0],
+        "{state}"
+    );
+}
+
+fn screenshot(browser: &Browser, name: &str) {
+    fs::create_dir_all(SCREENSHOTS).unwrap();
+    let path = Path::new(SCREENSHOTS).join(format!("{name}.png"));
+    browser.screenshot(&path);
 }
 
 #[test]
@@ -320,7 +335,7 @@ fn traffic_appears_and_a_node_that_dies_turns_silent() {
         ("phone-dark", 390, true, "dark"),
     ] {
         browser.look(width, 2400, is_phone, scheme); // what is out of sight is not drawn
-        browser.screenshot(name);
+        screenshot(&browser, name);
         let wide = browser.run("return document.documentElement.scrollWidth");
         assert!(wide.as_u64() <= Some(width.into()), "{name}: {wide} wide");
         let hidden = browser.run(
@@ -342,7 +357,7 @@ fn traffic_appears_and_a_node_that_dies_turns_silent() {
     assert_eq!(browser.run("return document.querySelectorAll('.stale').length"), 1);
     for scheme in ["light", "dark"] {
         browser.look(1280, 2400, false, scheme);
-        browser.screenshot(&format!("stale-{scheme}"));
+        screenshot(&browser, &format!("stale-{scheme}"));
         expect_no_accessibility_faults(&browser, "stale");
     }
 }
@@ -399,7 +414,7 @@ fn a_token_is_asked_for_and_kept_for_the_tab() {
     browser.open(&url);
     browser.expect("#token-form", "Token");
     browser.look(390, 900, true, "dark");
-    browser.screenshot("token");
+    screenshot(&browser, "token");
     expect_no_accessibility_faults(&browser, "token");
     assert_eq!(browser.text("#status"), "", "nothing is shown without it");
     browser.press(&format!("0123456789abcdef{ENTER}"));

@@ -12,9 +12,6 @@
 
 mod clients;
 mod disturbances;
-#[allow(dead_code, unused_imports)] // the scenarios of `it` use the rest
-#[path = "../it/harness/mod.rs"]
-mod harness;
 mod usage;
 
 use std::env;
@@ -23,6 +20,8 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
 use std::thread;
 use std::time::{Duration, Instant};
+
+use pnet_nat_rig::harness;
 
 use clients::Clients;
 use disturbances::{Operator, Plant, flood, scrape};

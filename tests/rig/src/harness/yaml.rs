@@ -9,10 +9,10 @@ use serde_json::Value;
 use super::left_out;
 
 /// The folder where `.ci/run` installs the validator, which comes with schemas and a parser.
-pub(crate) const TOOLS: &str = "target/kubernetes-validate/bin";
+pub const TOOLS: &str = "target/kubernetes-validate/bin";
 
 /// Whether the validator is installed. Says so if it is not.
-pub(crate) fn has_yaml() -> bool {
+pub fn has_yaml() -> bool {
     let has = Path::new(TOOLS).exists();
     if !has {
         left_out(&format!("kubernetes-validate, of PyPI, in {TOOLS}"));
@@ -22,7 +22,7 @@ pub(crate) fn has_yaml() -> bool {
 
 /// The documents of a YAML text.
 #[track_caller]
-pub(crate) fn yaml(text: &str) -> Vec<Value> {
+pub fn yaml(text: &str) -> Vec<Value> {
     let mut python = Command::new(format!("{TOOLS}/python"));
     python.args([
         "-c",

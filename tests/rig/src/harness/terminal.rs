@@ -15,7 +15,7 @@ use super::eventually;
 /// The other end of the terminal, with what the process wrote there. The process ends when this is
 /// dropped.
 #[derive(Debug)]
-pub(crate) struct Terminal {
+pub struct Terminal {
     child: Child,
     written: Arc<Mutex<Vec<u8>>>,
     reader: Option<JoinHandle<()>>,
@@ -23,7 +23,7 @@ pub(crate) struct Terminal {
 
 impl Terminal {
     /// Starts a command whose stdin, stdout and stderr are a terminal.
-    pub(crate) fn start(command: &mut Command) -> Self {
+    pub fn start(command: &mut Command) -> Self {
         let size = Winsize { ws_row: 24, ws_col: 80, ws_xpixel: 0, ws_ypixel: 0 };
         let pair = openpty(&size, None).unwrap();
         let slave = || Stdio::from(pair.slave.try_clone().unwrap());
@@ -43,12 +43,13 @@ impl Terminal {
         Self { child, written, reader: Some(reader) }
     }
 
-    pub(crate) fn signal(&self, signal: Signal) {
+    /// Sends a signal to the process.
+    pub fn signal(&self, signal: Signal) {
         kill(Pid::from_raw(self.child.id() as i32), signal).unwrap();
     }
 
     /// Waits until the process has ended and returns its exit code. `None` when a signal killed it.
-    pub(crate) fn end(&mut self) -> Option<i32> {
+    pub fn end(&mut self) -> Option<i32> {
         let status = eventually("the process ends", || self.child.try_wait().unwrap());
         if let Some(reader) = self.reader.take() {
             reader.join().unwrap();
@@ -57,12 +58,12 @@ impl Terminal {
     }
 
     /// All output so far.
-    pub(crate) fn text(&self) -> String {
+    pub fn text(&self) -> String {
         String::from_utf8_lossy(&self.written.lock().unwrap()).into_owned()
     }
 
     /// Whether a text has colours, bold and the like: `ESC [ numbers m`.
-    pub(crate) fn has_colours(text: &str) -> bool {
+    pub fn has_colours(text: &str) -> bool {
         text.split("\x1b[").skip(1).any(|sequence| {
             sequence.trim_start_matches(|c: char| c.is_ascii_digit() || c == ';').starts_with('m')
         })

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 /// The samples of one scrape.
 #[derive(Debug)]
-pub(crate) struct Metrics(Vec<Sample>);
+pub struct Metrics(Vec<Sample>);
 
 #[derive(Debug)]
 struct Sample {
@@ -15,12 +15,12 @@ struct Sample {
 
 impl Metrics {
     /// Reads Prometheus' text format.
-    pub(crate) fn parse(text: &str) -> Self {
+    pub fn parse(text: &str) -> Self {
         Self(text.lines().filter(|line| !line.starts_with('#')).map(Sample::parse).collect())
     }
 
     /// The sum of a family's samples that have these labels. Panics when there are none.
-    pub(crate) fn sum(&self, name: &str, labels: &[(&str, &str)]) -> u64 {
+    pub fn sum(&self, name: &str, labels: &[(&str, &str)]) -> u64 {
         let has = |sample: &&Sample| {
             sample.name == name && labels.iter().all(|(key, value)| sample.label(key) == *value)
         };
@@ -30,7 +30,7 @@ impl Metrics {
     }
 
     /// How many datagrams were dropped, by direction and drop reason. Reasons at 0 are left out.
-    pub(crate) fn drops(&self) -> BTreeMap<(String, String), u64> {
+    pub fn drops(&self) -> BTreeMap<(String, String), u64> {
         let mut drops = BTreeMap::new();
         let dropped = |sample: &&Sample| sample.name == "pnet_nat_dropped_datagrams_total";
         for sample in self.0.iter().filter(dropped).filter(|sample| sample.value > 0.0) {
@@ -41,7 +41,7 @@ impl Metrics {
     }
 
     /// The counters that are smaller in this scrape than in an earlier one.
-    pub(crate) fn behind(&self, earlier: &Self) -> Vec<String> {
+    pub fn behind(&self, earlier: &Self) -> Vec<String> {
         let counts = |sample: &&Sample| {
             ["_total", "_bucket", "_count", "_sum"].iter().any(|end| sample.name.ends_with(end))
         };
@@ -57,7 +57,7 @@ impl Metrics {
 
     /// The places where the law of the counters does not hold: received = forwarded + dropped, for
     /// every net, node and direction. Strays are included.
-    pub(crate) fn breaches(&self) -> Vec<String> {
+    pub fn breaches(&self) -> Vec<String> {
         let mut balances: BTreeMap<[&str; 3], f64> = BTreeMap::new();
         for sample in &self.0 {
             let sign = match sample.name.as_str() {

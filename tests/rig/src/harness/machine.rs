@@ -72,7 +72,7 @@ exec env -i container=test PATH=/usr/sbin:/usr/bin:/sbin:/bin \
 
 /// A copy of this machine.
 #[derive(Debug)]
-pub(crate) struct Machine {
+pub struct Machine {
     builder: Process,
     first_process: i32,
     _folder: TempDir,
@@ -80,7 +80,7 @@ pub(crate) struct Machine {
 
 impl Machine {
     /// Starts a copy. Returns the reason if that is not possible.
-    pub(crate) fn start() -> Result<Self, String> {
+    pub fn start() -> Result<Self, String> {
         if !Path::new("/lib/systemd/systemd").exists() {
             return Err("systemd, of the package of that name".to_owned());
         }
@@ -107,7 +107,7 @@ impl Machine {
     }
 
     /// A command that runs in the copy.
-    pub(crate) fn command(&self, command: &[&str]) -> Command {
+    pub fn command(&self, command: &[&str]) -> Command {
         let mut inside = Command::new("nsenter");
         inside.args(["--target", &self.first_process.to_string(), "--all", "--"]).args(command);
         inside.current_dir("/");
@@ -115,13 +115,13 @@ impl Machine {
     }
 
     /// Runs a command in the copy and returns its output and status.
-    pub(crate) fn output(&self, command: &[&str]) -> Output {
+    pub fn output(&self, command: &[&str]) -> Output {
         self.command(command).output().unwrap()
     }
 
     /// Runs a command in the copy and returns what it prints. The command has to succeed.
     #[track_caller]
-    pub(crate) fn run(&self, command: &[&str]) -> String {
+    pub fn run(&self, command: &[&str]) -> String {
         let output = self.output(command);
         assert!(output.status.success(), "{command:?}: {output:?}\n{}", self.journal());
         String::from_utf8(output.stdout).unwrap()
@@ -129,12 +129,12 @@ impl Machine {
 
     /// Runs a line of the shell in the copy.
     #[track_caller]
-    pub(crate) fn shell(&self, line: &str) -> String {
+    pub fn shell(&self, line: &str) -> String {
         self.run(&["sh", "-c", line])
     }
 
     /// The log lines of the copy's services.
-    pub(crate) fn journal(&self) -> String {
+    pub fn journal(&self) -> String {
         let output = self.output(&["journalctl", "--output=cat", "--no-pager"]);
         String::from_utf8_lossy(&output.stdout).into_owned()
     }

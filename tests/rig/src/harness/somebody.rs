@@ -10,11 +10,12 @@ use nix::unistd::geteuid;
 use tempfile::TempDir;
 
 use super::left_out;
+use super::process::program;
 
 /// A user who runs the binary, with a copy of the binary: this user may have no right to run the
 /// original.
 #[derive(Debug)]
-pub(crate) struct Somebody {
+pub struct Somebody {
     user: u32,
     folder: TempDir,
 }
@@ -22,7 +23,7 @@ pub(crate) struct Somebody {
 impl Somebody {
     /// Makes a user that no other scenario uses. Where that is not possible, says so and returns
     /// `None`.
-    pub(crate) fn new() -> Option<Self> {
+    pub fn new() -> Option<Self> {
         static NEXT: AtomicU32 = AtomicU32::new(0);
         if !geteuid().is_root() || Command::new("setpriv").arg("--version").output().is_err() {
             left_out("root and setpriv, to become somebody else");
@@ -30,13 +31,13 @@ impl Somebody {
         }
         let folder = tempfile::tempdir().unwrap();
         fs::set_permissions(folder.path(), Permissions::from_mode(0o755)).unwrap();
-        fs::copy(env!("CARGO_BIN_EXE_pnet-nat"), folder.path().join("pnet-nat")).unwrap();
+        fs::copy(program(), folder.path().join("pnet-nat")).unwrap();
         let user = 100_000 + process::id() * 100 + NEXT.fetch_add(1, Relaxed);
         Some(Self { user, folder })
     }
 
     /// Makes this user the owner of a folder with a configuration.
-    pub(crate) fn owns(&self, folder: &Path) {
+    pub fn owns(&self, folder: &Path) {
         for path in ["", "pnet-nat.toml", "secrets", "secrets/section-1", "secrets/press"] {
             chown(folder.join(path), Some(self.user), Some(self.user)).unwrap();
         }
@@ -44,7 +45,7 @@ impl Somebody {
 
     /// The binary with these arguments. This user runs it, and may have at most this many threads
     /// in total.
-    pub(crate) fn pnet_nat(&self, threads: Option<usize>, arguments: &[&str]) -> Command {
+    pub fn pnet_nat(&self, threads: Option<usize>, arguments: &[&str]) -> Command {
         let mut command = Command::new("prlimit");
         command.args(threads.map(|most| format!("--nproc={most}:{most}")));
         let (user, group) = (format!("--reuid={}", self.user), format!("--regid={}", self.user));

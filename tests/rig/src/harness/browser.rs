@@ -1,20 +1,16 @@
 //! A headless Chromium. The tests control it over WebDriver (W3C) and ask it what it shows.
 
 use std::fs;
-use std::path::PathBuf;
+use std::path::Path;
 use std::process::Command;
 
 use serde_json::{Value, json};
 
 use super::{Process, eventually, left_out};
 
-/// The accessibility checker axe-core, at the place where `.ci/run` puts it.
-const AXE: &str = concat!(env!("CARGO_TARGET_TMPDIR"), "/axe/axe_playwright_python/axe.min.js");
-const SCREENSHOTS: &str = concat!(env!("CARGO_TARGET_TMPDIR"), "/status-page");
-
 /// A browser with one window. It ends when it is dropped.
 #[derive(Debug)]
-pub(crate) struct Browser {
+pub struct Browser {
     session: String,
     /// The driver. It ends its browser when the session ends.
     _driver: Process,
@@ -22,7 +18,7 @@ pub(crate) struct Browser {
 
 impl Browser {
     /// Starts a browser. Where there is no chromedriver, says so and returns `None`.
-    pub(crate) fn start() -> Option<Self> {
+    pub fn start() -> Option<Self> {
         if Command::new("chromedriver").arg("--version").output().is_err() {
             left_out("chromedriver, of the package chromium-driver");
             return None;
@@ -48,12 +44,13 @@ impl Browser {
         Some(Self { session, _driver: driver })
     }
 
-    pub(crate) fn open(&self, url: &str) {
+    /// Loads a page.
+    pub fn open(&self, url: &str) {
         self.say("url", json!({ "url": url }));
     }
 
     /// Sets the size of the window, whether it is a phone's, and the colour scheme.
-    pub(crate) fn look(&self, width: u16, height: u16, is_phone: bool, scheme: &str) {
+    pub fn look(&self, width: u16, height: u16, is_phone: bool, scheme: &str) {
         let size = json!({ "width": width, "height": height, "deviceScaleFactor": 1,
             "mobile": is_phone });
         self.devtools("Emulation.setDeviceMetricsOverride", &size);
@@ -62,12 +59,12 @@ impl Browser {
     }
 
     /// Runs the body of a function in the page and returns its result.
-    pub(crate) fn run(&self, body: &str) -> Value {
+    pub fn run(&self, body: &str) -> Value {
         self.say("execute/sync", json!({ "script": body, "args": [] }))
     }
 
     /// The visible text of the first element that matches. Empty if no element matches.
-    pub(crate) fn text(&self, selector: &str) -> String {
+    pub fn text(&self, selector: &str) -> String {
         let text = self.run(&format!(
             "const found = document.querySelector(`{selector}`);
             return found?.checkVisibility() ? found.innerText : ''"
@@ -77,7 +74,7 @@ impl Browser {
 
     /// Waits until an element shows this text.
     #[track_caller]
-    pub(crate) fn expect(&self, selector: &str, text: &str) {
+    pub fn expect(&self, selector: &str, text: &str) {
         let mut shown = String::new();
         let found = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| {
             eventually("the page shows it", || {
@@ -89,7 +86,7 @@ impl Browser {
     }
 
     /// Presses a key or types a text, wherever the focus is (WebDriver, 17.4.2).
-    pub(crate) fn press(&self, keys: &str) {
+    pub fn press(&self, keys: &str) {
         let press = |key: char| {
             let key = key.to_string();
             [json!({ "type": "keyDown", "value": key }), json!({ "type": "keyUp", "value": key })]
@@ -100,14 +97,14 @@ impl Browser {
     }
 
     /// The errors in the console since the last call.
-    pub(crate) fn errors(&self) -> Vec<String> {
+    pub fn errors(&self) -> Vec<String> {
         let log = self.say("se/log", json!({ "type": "browser" }));
         let errors = log.as_array().unwrap().iter().filter(|line| line["level"] == "SEVERE");
         errors.map(|line| line["message"].as_str().unwrap().to_owned()).collect()
     }
 
     /// Writes a picture of the whole page to a file, for people to look at.
-    pub(crate) fn screenshot(&self, name: &str) {
+    pub fn screenshot(&self, path: &Path) {
         let whole = json!({ "captureBeyondViewport": true });
         let shot = self.devtools("Page.captureScreenshot", &whole);
         let script = format!(
@@ -115,17 +112,15 @@ impl Browser {
             shot["data"].as_str().unwrap()
         );
         let octets: Vec<u8> = serde_json::from_value(self.run(&script)).unwrap();
-        fs::create_dir_all(SCREENSHOTS).unwrap();
-        let path = PathBuf::from(SCREENSHOTS).join(format!("{name}.png"));
-        fs::write(&path, octets).unwrap();
+        fs::write(path, octets).unwrap();
         println!("{}", path.display());
     }
 
-    /// The faults that axe-core finds in the page: rules, and the elements that break them. Where
-    /// axe-core is not installed, says so and returns `None`.
-    pub(crate) fn accessibility_faults(&self) -> Option<Vec<String>> {
-        let Ok(axe) = fs::read_to_string(AXE) else {
-            left_out(&format!("axe-core in {AXE}; see .ci/run"));
+    /// The faults that axe-core, an accessibility checker, finds in the page: rules, and the
+    /// elements that break them. Where its file is not there, says so and returns `None`.
+    pub fn accessibility_faults(&self, axe: &Path) -> Option<Vec<String>> {
+        let Ok(axe) = fs::read_to_string(axe) else {
+            left_out(&format!("axe-core in {}; see .ci/run", axe.display()));
             return None;
         };
         self.run(&axe);

@@ -50,15 +50,18 @@ const START_PORT: u16 = 40000;
 
 /// The three namespaces.
 #[derive(Debug)]
-pub(crate) struct Network {
-    pub(crate) internet: Namespace,
-    pub(crate) edge: Namespace,
-    pub(crate) plant: Namespace,
+pub struct Network {
+    /// Clients and strangers.
+    pub internet: Namespace,
+    /// The relay.
+    pub edge: Namespace,
+    /// The nodes.
+    pub plant: Namespace,
 }
 
 impl Network {
     /// Builds the namespaces. Where that is not possible, says so and returns `None`.
-    pub(crate) fn build() -> Option<Self> {
+    pub fn build() -> Option<Self> {
         let made = Namespace::new("inet").and_then(|internet| {
             let (edge, plant) = (Namespace::new("edge")?, Namespace::new("plant")?);
             Ok(Self { internet, edge, plant })
@@ -76,23 +79,23 @@ impl Network {
     }
 
     /// Runs a scenario at the edge, where the relay is.
-    pub(crate) fn at_the_edge(&self, scenario: impl FnOnce() + Send) {
+    pub fn at_the_edge(&self, scenario: impl FnOnce() + Send) {
         self.edge.enter(scenario);
     }
 
     /// A server node: a socket on its Secure port in the plant.
-    pub(crate) fn node(&self, node_address: u8) -> Peer {
+    pub fn node(&self, node_address: u8) -> Peer {
         self.plant.peer((Ipv4Addr::new(172, 17, 17, node_address), 34379).into())
     }
 
     /// A client on the Internet.
-    pub(crate) fn client(&self, address: &str) -> Peer {
+    pub fn client(&self, address: &str) -> Peer {
         self.internet.peer((address.parse::<IpAddr>().unwrap(), 0).into())
     }
 
     /// The place of a relay at the edge, in front of the nodes, open to every client. The relay has
     /// to be started from the edge.
-    pub(crate) fn place<'a>(&self, listen: &'a str) -> Place<'a> {
+    pub fn place<'a>(&self, listen: &'a str) -> Place<'a> {
         Place {
             listen,
             admin: (Ipv4Addr::LOCALHOST, 9378).into(),
@@ -103,7 +106,7 @@ impl Network {
     }
 
     /// The public address and port of a node.
-    pub(crate) fn public(&self, address: &str, node_address: u8) -> SocketAddr {
+    pub fn public(&self, address: &str, node_address: u8) -> SocketAddr {
         (address.parse::<IpAddr>().unwrap(), START_PORT + u16::from(node_address)).into()
     }
 
@@ -137,13 +140,13 @@ impl Network {
 
 /// One network namespace.
 #[derive(Debug)]
-pub(crate) struct Namespace {
+pub struct Namespace {
     name: String,
 }
 
 impl Namespace {
     /// Makes a namespace. Returns the reason if that is not possible.
-    pub(crate) fn new(place: &str) -> Result<Self, String> {
+    pub fn new(place: &str) -> Result<Self, String> {
         static NEXT: AtomicU32 = AtomicU32::new(0);
         let name = format!("pnet-nat-{}-{}-{place}", process::id(), NEXT.fetch_add(1, Relaxed));
         let made = Command::new("ip").args(["netns", "add", &name]).output();
@@ -155,12 +158,12 @@ impl Namespace {
     }
 
     /// The name of the namespace, for commands that need it.
-    pub(crate) fn name(&self) -> &str {
+    pub fn name(&self) -> &str {
         &self.name
     }
 
     /// Runs `there` in this namespace, on a thread of its own.
-    pub(crate) fn enter<T: Send>(&self, there: impl FnOnce() -> T + Send) -> T {
+    pub fn enter<T: Send>(&self, there: impl FnOnce() -> T + Send) -> T {
         let namespace = File::open(format!("/run/netns/{}", self.name)).unwrap();
         thread::scope(|scope| {
             let thread = scope.spawn(|| {
@@ -173,25 +176,25 @@ impl Namespace {
 
     /// Runs commands of `ip`, one in each line.
     #[track_caller]
-    pub(crate) fn ip(&self, commands: &str) {
+    pub fn ip(&self, commands: &str) {
         self.batch(&["ip", "-batch", "-"], commands);
     }
 
     /// Runs commands of `tc`, one in each line.
     #[track_caller]
-    pub(crate) fn tc(&self, commands: &str) {
+    pub fn tc(&self, commands: &str) {
         self.batch(&["tc", "-batch", "-"], commands);
     }
 
     /// Loads a rule set of the kernel's packet filter.
     #[track_caller]
-    pub(crate) fn nft(&self, rules: &str) {
+    pub fn nft(&self, rules: &str) {
         self.batch(&["nft", "-f", "-"], rules);
     }
 
     /// Runs a command and returns what it prints.
     #[track_caller]
-    pub(crate) fn output(&self, command: &[&str]) -> String {
+    pub fn output(&self, command: &[&str]) -> String {
         let output = self.command(command).output().unwrap();
         assert!(output.status.success(), "{command:?}: {output:?}");
         String::from_utf8(output.stdout).unwrap()
@@ -211,7 +214,7 @@ impl Namespace {
     }
 
     /// Sends a UDP datagram with any source address and port.
-    pub(crate) fn forge(&self, from: SocketAddrV4, to: SocketAddrV4, octets: &[u8]) {
+    pub fn forge(&self, from: SocketAddrV4, to: SocketAddrV4, octets: &[u8]) {
         let packet = packet(from, to, octets);
         self.enter(|| {
             let raw = Protocol::from(nix::libc::IPPROTO_RAW);
@@ -220,12 +223,13 @@ impl Namespace {
         });
     }
 
-    pub(crate) fn peer(&self, address: SocketAddr) -> Peer {
+    /// A socket in this namespace, bound to this address.
+    pub fn peer(&self, address: SocketAddr) -> Peer {
         self.enter(|| Peer::bind(address))
     }
 
     /// Captures every UDP and ICMP packet from now on.
-    pub(crate) fn capture(&self) -> Capture {
+    pub fn capture(&self) -> Capture {
         self.enter(Capture::start)
     }
 }

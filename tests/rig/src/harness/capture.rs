@@ -20,28 +20,37 @@ const ICMP_V6: u8 = 58;
 
 /// A captured packet.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) enum Packet {
+pub enum Packet {
+    /// A UDP datagram.
     Udp {
+        /// Its source.
         from: SocketAddr,
+        /// Its destination.
         to: SocketAddr,
+        /// Its payload.
         octets: Vec<u8>,
     },
     /// An ICMP message which says that nobody listens on a port.
     PortUnreachable {
+        /// Its source.
         from: IpAddr,
+        /// Its destination.
         to: IpAddr,
     },
-    /// Any other ICMP message, with its type.
+    /// Any other ICMP message.
     Icmp {
+        /// Its source.
         from: IpAddr,
+        /// Its destination.
         to: IpAddr,
+        /// Its type, as ICMP or ICMPv6 numbers them.
         kind: u8,
     },
 }
 
 /// A capture that is running.
 #[derive(Debug)]
-pub(crate) struct Capture {
+pub struct Capture {
     seen: Arc<Mutex<Vec<Packet>>>,
     ended: Arc<AtomicBool>,
     reader: Option<JoinHandle<()>>,
@@ -49,7 +58,7 @@ pub(crate) struct Capture {
 
 impl Capture {
     /// Begins a capture in the calling thread's network namespace.
-    pub(crate) fn start() -> Self {
+    pub fn start() -> Self {
         let protocol = Some(Protocol::from(ETH_P_ALL));
         let socket = Socket::new(Domain::PACKET, Type::DGRAM, protocol).unwrap();
         socket.set_recv_buffer_size(4 << 20).unwrap();
@@ -61,12 +70,12 @@ impl Capture {
     }
 
     /// The packets captured so far. The newest ones may still be missing.
-    pub(crate) fn so_far(&self) -> Vec<Packet> {
+    pub fn so_far(&self) -> Vec<Packet> {
         self.seen.lock().unwrap().clone()
     }
 
     /// Ends the capture and returns all packets.
-    pub(crate) fn end(mut self) -> Vec<Packet> {
+    pub fn end(mut self) -> Vec<Packet> {
         self.ended.store(true, Relaxed);
         self.reader.take().unwrap().join().unwrap();
         self.so_far()
@@ -128,7 +137,7 @@ impl Packet {
     }
 
     /// The UDP payload.
-    pub(crate) fn octets(&self) -> &[u8] {
+    pub fn octets(&self) -> &[u8] {
         match self {
             Self::Udp { octets, .. } => octets,
             _ => panic!("{self:?} is no datagram"),

@@ -16,23 +16,23 @@ use super::{
 };
 
 /// The configuration from which users start.
-pub(crate) const ANNOTATED: &str = include_str!("../../../config/pnet-nat.toml");
+pub const ANNOTATED: &str = include_str!("../../../../config/pnet-nat.toml");
 
 const ADMIN_PORT: u16 = 9378;
 
 /// What a scenario adds to the usual configuration, in TOML.
 #[derive(Clone, Debug)]
-pub(crate) struct Settings<'a> {
+pub struct Settings<'a> {
     /// Further keys of the net.
-    pub(crate) net: &'a str,
+    pub net: &'a str,
     /// The net's passwords.
-    pub(crate) passwords: &'a str,
+    pub passwords: &'a str,
     /// The keys of `[runtime]`.
-    pub(crate) runtime: &'a str,
+    pub runtime: &'a str,
     /// Further sections.
-    pub(crate) sections: &'a str,
+    pub sections: &'a str,
     /// The hard limit of file descriptors.
-    pub(crate) descriptors: Option<u64>,
+    pub descriptors: Option<u64>,
 }
 
 impl Default for Settings<'_> {
@@ -52,7 +52,7 @@ impl Default for Settings<'_> {
 
 /// A folder with this configuration in `pnet-nat.toml`, and with all password files that the
 /// annotated configuration names.
-pub(crate) fn folder(configuration: &str) -> TempDir {
+pub fn folder(configuration: &str) -> TempDir {
     let folder = tempfile::tempdir().unwrap();
     fs::write(folder.path().join("pnet-nat.toml"), configuration).unwrap();
     fs::create_dir(folder.path().join("secrets")).unwrap();
@@ -73,19 +73,22 @@ pub(crate) fn folder(configuration: &str) -> TempDir {
 /// The surroundings of a relay: the addresses that it listens on, and the subnet of its nodes 1 to
 /// 4 and 33.
 #[derive(Debug)]
-pub(crate) struct Place<'a> {
+pub struct Place<'a> {
     /// A list, in TOML.
-    pub(crate) listen: &'a str,
-    pub(crate) admin: SocketAddr,
-    pub(crate) start_port: u16,
-    pub(crate) subnet: Ipv4Addr,
+    pub listen: &'a str,
+    /// The address and port of the admin server.
+    pub admin: SocketAddr,
+    /// The public port of a node is this one plus its node address.
+    pub start_port: u16,
+    /// The nodes' subnet, a /24.
+    pub subnet: Ipv4Addr,
     /// A list, in TOML.
-    pub(crate) allow: &'a str,
+    pub allow: &'a str,
 }
 
 impl Place<'_> {
     /// The configuration of a relay in this place.
-    pub(crate) fn configuration(&self, settings: &Settings<'_>) -> String {
+    pub fn configuration(&self, settings: &Settings<'_>) -> String {
         let Self { listen, admin, start_port, subnet, allow } = self;
         let Settings { net, passwords, runtime, sections, .. } = settings;
         format!(
@@ -114,14 +117,14 @@ allow = {allow}
     }
 
     /// Starts a relay with the usual configuration and these settings, and waits until it is ready.
-    pub(crate) fn relay(&self, settings: &Settings<'_>) -> Relay {
+    pub fn relay(&self, settings: &Settings<'_>) -> Relay {
         Relay::start(&self.configuration(settings), self.admin, settings.descriptors)
     }
 }
 
 impl Site {
     /// The configuration of a relay in front of this site's nodes, for its clients.
-    pub(crate) fn configuration(&self, settings: &Settings<'_>) -> String {
+    pub fn configuration(&self, settings: &Settings<'_>) -> String {
         let (public, subnet) = (self.public_address(), self.address(0));
         Place {
             listen: &format!("[\"{public}\"]"),
@@ -134,27 +137,29 @@ impl Site {
     }
 
     /// The address of the admin server of this site's relay.
-    pub(crate) fn admin(&self) -> SocketAddr {
+    pub fn admin(&self) -> SocketAddr {
         (self.public_address(), ADMIN_PORT).into()
     }
 
     /// Starts a relay with the usual configuration and these settings, and waits until it is ready.
-    pub(crate) fn relay(&self, settings: Settings<'_>) -> Relay {
+    pub fn relay(&self, settings: Settings<'_>) -> Relay {
         Relay::start(&self.configuration(&settings), self.admin(), settings.descriptors)
     }
 }
 
 /// A relay that has become ready.
 #[derive(Debug)]
-pub(crate) struct Relay {
-    pub(crate) process: Process,
+pub struct Relay {
+    /// `pnet-nat run`.
+    pub process: Process,
     admin: SocketAddr,
     /// The folder with the relay's configuration.
-    pub(crate) folder: TempDir,
+    pub folder: TempDir,
 }
 
 impl Relay {
-    pub(crate) fn start(configuration: &str, admin: SocketAddr, descriptors: Option<u64>) -> Self {
+    /// Starts a relay, possibly with a hard limit of file descriptors, and waits until it is ready.
+    pub fn start(configuration: &str, admin: SocketAddr, descriptors: Option<u64>) -> Self {
         let start = |arguments: &[&str]| match descriptors {
             Some(limit) => pnet_nat_within(limit, arguments),
             None => pnet_nat(arguments),
@@ -166,7 +171,7 @@ impl Relay {
     }
 
     /// Starts the relay with a command that contains these arguments, and possibly more.
-    pub(crate) fn start_as(
+    pub fn start_as(
         configuration: &str,
         admin: SocketAddr,
         command: impl FnOnce(&[&str]) -> Command,
@@ -183,18 +188,18 @@ impl Relay {
     }
 
     /// Writes another configuration into the relay's file, for the next reload.
-    pub(crate) fn configure(&self, configuration: &str) {
+    pub fn configure(&self, configuration: &str) {
         fs::write(self.folder.path().join("pnet-nat.toml"), configuration).unwrap();
     }
 
     /// Writes another password into a file of `secrets`.
-    pub(crate) fn set_password(&self, file: &str, password: &[u8; 8]) {
+    pub fn set_password(&self, file: &str, password: &[u8; 8]) {
         fs::write(self.folder.path().join("secrets").join(file), password).unwrap();
     }
 
     /// Reloads by SIGHUP, and returns the log line with the result.
     #[track_caller]
-    pub(crate) fn reload(&self) -> Value {
+    pub fn reload(&self) -> Value {
         let done = || {
             let is_it =
                 |line: &Value| line["message"] == "reload" || line["message"] == "reload failed";
@@ -207,7 +212,7 @@ impl Relay {
 
     /// Brings another configuration into force, and returns the log line with the differences.
     #[track_caller]
-    pub(crate) fn reload_to(&self, configuration: &str) -> Value {
+    pub fn reload_to(&self, configuration: &str) -> Value {
         self.configure(configuration);
         let line = self.reload();
         assert_eq!(line["message"], "reload", "{}", self.process.stderr());
@@ -215,14 +220,14 @@ impl Relay {
     }
 
     /// Sends `POST /-/reload` and returns the status and the body.
-    pub(crate) fn post_reload(&self) -> (u16, String) {
+    pub fn post_reload(&self) -> (u16, String) {
         let mut answer = self.agent().post(format!("http://{}/-/reload", self.admin)).send_empty();
         let answer = answer.as_mut().unwrap();
         (answer.status().as_u16(), answer.body_mut().read_to_string().unwrap())
     }
 
     /// The status and the body of the admin server's answer, if there is an answer.
-    pub(crate) fn get(&self, path: &str) -> Option<(u16, String)> {
+    pub fn get(&self, path: &str) -> Option<(u16, String)> {
         let mut answer = self.agent().get(format!("http://{}{path}", self.admin)).call().ok()?;
         let body = answer.body_mut().with_config().limit(1 << 30).read_to_string().ok()?;
         Some((answer.status().as_u16(), body))
@@ -236,7 +241,8 @@ impl Relay {
             .into()
     }
 
-    pub(crate) fn metrics(&self) -> Metrics {
+    /// One scrape of `/metrics`.
+    pub fn metrics(&self) -> Metrics {
         let (status, text) = self.get("/metrics").expect("an answer");
         assert_eq!(status, 200);
         Metrics::parse(&text)
@@ -244,7 +250,7 @@ impl Relay {
 
     /// Waits until exactly these datagrams were dropped: direction, drop reason, number.
     #[track_caller]
-    pub(crate) fn expect_drops(&self, expected: &[(&str, &str, u64)]) {
+    pub fn expect_drops(&self, expected: &[(&str, &str, u64)]) {
         let expected: BTreeMap<_, _> = expected
             .iter()
             .map(|&(direction, reason, count)| ((direction.into(), reason.into()), count))
@@ -260,7 +266,7 @@ impl Relay {
     /// The metrics once no datagram is on its way: received = forwarded + dropped, the law of the
     /// counters. An answer may reach a client before the relay has counted it as forwarded.
     #[track_caller]
-    pub(crate) fn at_rest(&self) -> Metrics {
+    pub fn at_rest(&self) -> Metrics {
         let mut breaches = Vec::new();
         for _ in 0..100 {
             let metrics = self.metrics();
@@ -277,7 +283,7 @@ impl Relay {
     /// SIGTERM ends the relay with exit code 0, and no password was shown. Returns the ended
     /// process, for its log.
     #[track_caller]
-    pub(crate) fn finish(mut self) -> Process {
+    pub fn finish(mut self) -> Process {
         self.at_rest();
         let (_, metrics) = self.get("/metrics").expect("an answer");
         let (_, config) = self.get("/api/v1/config").expect("an answer");

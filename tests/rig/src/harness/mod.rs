@@ -21,27 +21,27 @@ mod yaml;
 use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
 use std::time::{Duration, Instant};
 
-pub(crate) use browser::Browser;
-pub(crate) use capture::{Capture, Packet};
-pub(crate) use machine::Machine;
-pub(crate) use metrics::Metrics;
-pub(crate) use network::{Namespace, Network};
-pub(crate) use octets::{
+pub use browser::Browser;
+pub use capture::{Capture, Packet};
+pub use machine::Machine;
+pub use metrics::Metrics;
+pub use network::{Namespace, Network};
+pub use octets::{
     DEVICE, FIGURE_10, PASSWORD, PASSWORDS, SECOND, WRONG, datagram, request, response,
 };
-pub(crate) use pcap::{frame, header, pcap, udp};
-pub(crate) use process::{Process, pnet_nat, pnet_nat_within};
-pub(crate) use relay::{ANNOTATED, Place, Relay, Settings, folder};
-pub(crate) use site::{Peer, Site, close, exchange};
-pub(crate) use somebody::Somebody;
-pub(crate) use terminal::Terminal;
-pub(crate) use yaml::{TOOLS, has_yaml, yaml};
+pub use pcap::{frame, header, pcap, udp};
+pub use process::{Process, pnet_nat, pnet_nat_within};
+pub use relay::{ANNOTATED, Place, Relay, Settings, folder};
+pub use site::{Peer, Site, close, exchange};
+pub use somebody::Somebody;
+pub use terminal::Terminal;
+pub use yaml::{TOOLS, has_yaml, yaml};
 
 /// How long a step may take that should take no time. A busy machine is not a fault.
-pub(crate) const PATIENCE: Duration = Duration::from_secs(20);
+pub const PATIENCE: Duration = Duration::from_secs(20);
 
 /// Calls `probe` until it finds something, and returns that.
-pub(crate) fn eventually<T>(what: &str, mut probe: impl FnMut() -> Option<T>) -> T {
+pub fn eventually<T>(what: &str, mut probe: impl FnMut() -> Option<T>) -> T {
     let end = Instant::now() + PATIENCE;
     loop {
         if let Some(found) = probe() {
@@ -54,14 +54,14 @@ pub(crate) fn eventually<T>(what: &str, mut probe: impl FnMut() -> Option<T>) ->
 
 /// Lets time pass. A test needs this only to see that nothing happens.
 #[expect(clippy::disallowed_methods, reason = "the one place where tests sleep")]
-pub(crate) fn pause(time: Duration) {
+pub fn pause(time: Duration) {
     std::thread::sleep(time);
 }
 
 /// Sets the flag when it is dropped. So threads that wait for the flag end even when the test
 /// fails.
 #[derive(Debug)]
-pub(crate) struct Over<'a>(pub(crate) &'a AtomicBool);
+pub struct Over<'a>(pub &'a AtomicBool);
 
 impl Drop for Over<'_> {
     fn drop(&mut self) {
@@ -71,14 +71,14 @@ impl Drop for Over<'_> {
 
 /// Says that a scenario is left out because something is missing. Fails where all scenarios have to
 /// run.
-pub(crate) fn left_out(want: &str) {
+pub fn left_out(want: &str) {
     let all = ["all", "nightly"].contains(&tests_wanted().as_str());
     assert!(!all, "PNET_NAT_TESTS={}, and there is a want: {want}", tests_wanted());
     println!("left out: {want}");
 }
 
 /// Whether nft can control the kernel's packet filter. Says so if it cannot.
-pub(crate) fn has_nft() -> bool {
+pub fn has_nft() -> bool {
     let has = std::process::Command::new("nft").arg("--version").output().is_ok();
     if !has {
         left_out("nft, of the package nftables");
@@ -87,7 +87,7 @@ pub(crate) fn has_nft() -> bool {
 }
 
 /// Whether tests that take minutes have to run as well. Says so if not.
-pub(crate) fn nightly() -> bool {
+pub fn nightly() -> bool {
     let nightly = tests_wanted() == "nightly";
     if !nightly {
         println!("left out: it takes minutes; PNET_NAT_TESTS=nightly runs it, beside all others");

@@ -27,7 +27,7 @@ const CLAIM: u8 = 254;
 
 /// A loopback subnet that no other scenario uses.
 #[derive(Debug)]
-pub(crate) struct Site {
+pub struct Site {
     subnet: [u8; 3],
     next_client: AtomicU8,
     /// This socket claims the subnet: no second socket in any process can be bound to its address
@@ -36,7 +36,8 @@ pub(crate) struct Site {
 }
 
 impl Site {
-    pub(crate) fn claim() -> Self {
+    /// Takes a subnet that is free.
+    pub fn claim() -> Self {
         static NEXT: AtomicU32 = AtomicU32::new(0);
         loop {
             let index = process::id().wrapping_mul(37).wrapping_add(NEXT.fetch_add(1, Relaxed));
@@ -52,32 +53,34 @@ impl Site {
         }
     }
 
-    pub(crate) fn address(&self, last: u8) -> Ipv4Addr {
+    /// The address of the subnet that ends with this octet.
+    pub fn address(&self, last: u8) -> Ipv4Addr {
         let [a, b, c] = self.subnet;
         Ipv4Addr::new(a, b, c, last)
     }
 
     /// The relay's own address.
-    pub(crate) fn public_address(&self) -> Ipv4Addr {
+    pub fn public_address(&self) -> Ipv4Addr {
         self.address(PUBLIC)
     }
 
-    pub(crate) fn start_port(&self) -> u16 {
+    /// The start port of the net.
+    pub fn start_port(&self) -> u16 {
         START_PORT
     }
 
     /// The public address and port of a node.
-    pub(crate) fn public(&self, node_address: u8) -> SocketAddr {
+    pub fn public(&self, node_address: u8) -> SocketAddr {
         (self.public_address(), START_PORT + u16::from(node_address)).into()
     }
 
     /// A server node: a socket on its Secure port.
-    pub(crate) fn node(&self, node_address: u8) -> Peer {
+    pub fn node(&self, node_address: u8) -> Peer {
         Peer::bind((self.address(node_address), SECURE_PORT).into())
     }
 
     /// `pnet-nat node` for the nodes 1 to 4.
-    pub(crate) fn simulated_nodes(&self, delay: &str) -> Process {
+    pub fn simulated_nodes(&self, delay: &str) -> Process {
         let folder = folder("");
         let listen = format!("{}-4", self.address(1));
         let password = folder.path().join("secrets/section-1");
@@ -90,7 +93,7 @@ impl Site {
     }
 
     /// A client with its own address.
-    pub(crate) fn client(&self) -> Peer {
+    pub fn client(&self) -> Peer {
         let last = self.next_client.fetch_add(1, Relaxed);
         assert!(last < CLAIM, "a site has room for {} clients", CLAIM - FIRST_CLIENT);
         Peer::bind((self.address(last), 0).into())
@@ -99,12 +102,12 @@ impl Site {
 
 /// One end of an exchange: a socket that sends and receives octets.
 #[derive(Debug)]
-pub(crate) struct Peer(UdpSocket);
+pub struct Peer(UdpSocket);
 
 impl Peer {
     /// Binds a socket. If the port is taken, waits: the system may have given it to another
     /// scenario's relay.
-    pub(crate) fn bind(address: SocketAddr) -> Self {
+    pub fn bind(address: SocketAddr) -> Self {
         let socket = eventually("the port is free", || match UdpSocket::bind(address) {
             Ok(socket) => Some(socket),
             Err(error) if error.kind() == io::ErrorKind::AddrInUse => None,
@@ -115,17 +118,19 @@ impl Peer {
         Self(socket)
     }
 
-    pub(crate) fn address(&self) -> SocketAddr {
+    /// The address and port of the socket.
+    pub fn address(&self) -> SocketAddr {
         self.0.local_addr().unwrap()
     }
 
-    pub(crate) fn send(&self, to: SocketAddr, octets: &[u8]) {
+    /// Sends a datagram.
+    pub fn send(&self, to: SocketAddr, octets: &[u8]) {
         assert_eq!(self.0.send_to(octets, to).unwrap(), octets.len());
     }
 
     /// The next datagram and its sender.
     #[track_caller]
-    pub(crate) fn receive(&self) -> (Vec<u8>, SocketAddr) {
+    pub fn receive(&self) -> (Vec<u8>, SocketAddr) {
         let mut octets = [0; 2048];
         match self.0.recv_from(&mut octets) {
             Ok((length, from)) => (octets[..length].to_vec(), from),
@@ -134,7 +139,7 @@ impl Peer {
     }
 
     /// The next datagram and its sender, if a datagram comes in time.
-    pub(crate) fn receive_within(&self, time: Duration) -> Option<(Vec<u8>, SocketAddr)> {
+    pub fn receive_within(&self, time: Duration) -> Option<(Vec<u8>, SocketAddr)> {
         self.0.set_read_timeout(Some(time)).unwrap();
         let mut octets = [0; 2048];
         let came = self.0.recv_from(&mut octets);
@@ -147,14 +152,14 @@ impl Peer {
 
     /// Receives the next datagram, which has to be this one, and returns its sender.
     #[track_caller]
-    pub(crate) fn expect(&self, octets: &[u8]) -> SocketAddr {
+    pub fn expect(&self, octets: &[u8]) -> SocketAddr {
         let (came, from) = self.receive();
         assert_eq!(came, octets, "the datagram that came to {}", self.address());
         from
     }
 
     /// A datagram that waits in the socket, if there is one.
-    pub(crate) fn waiting(&self) -> Option<Vec<u8>> {
+    pub fn waiting(&self) -> Option<Vec<u8>> {
         self.0.set_nonblocking(true).unwrap();
         let mut octets = [0; 2048];
         let waiting = self.0.recv_from(&mut octets).map(|(length, _)| octets[..length].to_vec());
@@ -175,7 +180,7 @@ impl From<Peer> for Socket {
 /// Closes an IPv4 socket of the calling thread's network namespace, and waits until its port is
 /// free. A process that another scenario starts at this moment has a copy of every socket for a
 /// short time.
-pub(crate) fn close(socket: impl Into<Socket>) {
+pub fn close(socket: impl Into<Socket>) {
     let socket = socket.into();
     let address = socket.local_addr().unwrap().as_socket_ipv4().unwrap();
     drop(socket);
@@ -191,7 +196,7 @@ pub(crate) fn close(socket: impl Into<Socket>) {
 /// Sends a request to a node and the answer back to the client. Both have to arrive unchanged, and
 /// as the next datagram at their destination. Returns the relay's upstream port.
 #[track_caller]
-pub(crate) fn exchange(client: &Peer, public: SocketAddr, node: &Peer, node_address: u8) -> u16 {
+pub fn exchange(client: &Peer, public: SocketAddr, node: &Peer, node_address: u8) -> u16 {
     client.send(public, &request(node_address));
     let relay = node.expect(&request(node_address));
     node.send(relay, &response(node_address));

@@ -1,10 +1,12 @@
 //! The real binary as a process. A test starts it, reads its output and sends signals. It ends when
 //! it is dropped.
 
+use std::env;
 use std::fs::{self, DirEntry};
 use std::io::{self, BufRead, BufReader, Read};
+use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};
-use std::sync::{Arc, Mutex};
+use std::sync::{Arc, LazyLock, Mutex};
 use std::thread::{self, JoinHandle};
 
 use nix::sys::signal::{Signal, kill};
@@ -13,23 +15,34 @@ use serde_json::Value;
 
 use super::eventually;
 
+/// The binary that is tested. Cargo builds it with the tests, and puts it one folder above them.
+pub(super) fn program() -> &'static Path {
+    static PROGRAM: LazyLock<PathBuf> = LazyLock::new(|| {
+        let test = env::current_exe().unwrap();
+        let program = test.ancestors().nth(2).unwrap().join("pnet-nat");
+        assert!(program.exists(), "no {}: only a test of pnet-nat can run it", program.display());
+        program
+    });
+    &PROGRAM
+}
+
 /// The binary with these arguments. No option comes from the environment.
-pub(crate) fn pnet_nat(arguments: &[&str]) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_pnet-nat"));
+pub fn pnet_nat(arguments: &[&str]) -> Command {
+    let mut command = Command::new(program());
     command.args(arguments);
     scrubbed(command)
 }
 
 /// The binary with these arguments and with a hard limit of file descriptors.
-pub(crate) fn pnet_nat_within(descriptors: u64, arguments: &[&str]) -> Command {
+pub fn pnet_nat_within(descriptors: u64, arguments: &[&str]) -> Command {
     let mut command = Command::new("sh");
     command.args(["-c", "ulimit -n \"$0\" && exec \"$@\"", &descriptors.to_string()]);
-    command.arg(env!("CARGO_BIN_EXE_pnet-nat")).args(arguments);
+    command.arg(program()).args(arguments);
     scrubbed(command)
 }
 
 fn scrubbed(mut command: Command) -> Command {
-    for (name, _) in std::env::vars_os() {
+    for (name, _) in env::vars_os() {
         if name.to_string_lossy().starts_with("PNET_NAT_") {
             command.env_remove(name);
         }
@@ -39,7 +52,7 @@ fn scrubbed(mut command: Command) -> Command {
 
 /// A process, and its output so far.
 #[derive(Debug)]
-pub(crate) struct Process {
+pub struct Process {
     child: Child,
     stdout: Output,
     stderr: Output,
@@ -54,7 +67,7 @@ struct Output {
 
 impl Process {
     /// Starts the command in the calling thread's network namespace.
-    pub(crate) fn start(mut command: Command) -> Self {
+    pub fn start(mut command: Command) -> Self {
         let command = command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
         let mut child = command.spawn().unwrap();
         let stdout = Output::of(child.stdout.take().unwrap());
@@ -62,16 +75,18 @@ impl Process {
         Self { child, stdout, stderr }
     }
 
-    pub(crate) fn id(&self) -> u32 {
+    /// The process ID.
+    pub fn id(&self) -> u32 {
         self.child.id()
     }
 
-    pub(crate) fn signal(&self, signal: Signal) {
+    /// Sends a signal to the process.
+    pub fn signal(&self, signal: Signal) {
         kill(Pid::from_raw(self.id() as i32), signal).unwrap();
     }
 
     /// Stops every thread of the process until [`go_on`](Self::go_on).
-    pub(crate) fn hold(&self) {
+    pub fn hold(&self) {
         self.signal(Signal::SIGSTOP);
         let threads = format!("/proc/{}/task", self.id());
         let is_held = |thread: io::Result<DirEntry>| {
@@ -83,17 +98,18 @@ impl Process {
         });
     }
 
-    pub(crate) fn go_on(&self) {
+    /// Lets the threads that [`hold`](Self::hold) stopped go on.
+    pub fn go_on(&self) {
         self.signal(Signal::SIGCONT);
     }
 
     /// Waits until the process has ended and returns its exit code. `None` when a signal killed it.
-    pub(crate) fn end(&mut self) -> Option<i32> {
+    pub fn end(&mut self) -> Option<i32> {
         self.status().code()
     }
 
     /// Waits until the process has ended and returns its status.
-    pub(crate) fn status(&mut self) -> ExitStatus {
+    pub fn status(&mut self) -> ExitStatus {
         let status = eventually("the process ends", || self.child.try_wait().unwrap());
         for output in [&mut self.stdout, &mut self.stderr] {
             if let Some(reader) = output.reader.take() {
@@ -103,20 +119,23 @@ impl Process {
         status
     }
 
-    pub(crate) fn has_ended(&mut self) -> bool {
+    /// Whether the process has ended. Does not wait.
+    pub fn has_ended(&mut self) -> bool {
         self.child.try_wait().unwrap().is_some()
     }
 
-    pub(crate) fn stdout(&self) -> String {
+    /// What it wrote to stdout so far, in whole lines.
+    pub fn stdout(&self) -> String {
         self.stdout.text.lock().unwrap().clone()
     }
 
-    pub(crate) fn stderr(&self) -> String {
+    /// What it wrote to stderr so far, in whole lines.
+    pub fn stderr(&self) -> String {
         self.stderr.text.lock().unwrap().clone()
     }
 
     /// The log lines, oldest first.
-    pub(crate) fn log(&self) -> impl Iterator<Item = Value> {
+    pub fn log(&self) -> impl Iterator<Item = Value> {
         let stderr = self.stderr();
         let complete = &stderr[..stderr.rfind('\n').map_or(0, |end| end + 1)];
         let lines = complete.lines().map(|line| serde_json::from_str(line).expect(line));
@@ -124,7 +143,7 @@ impl Process {
     }
 
     /// The log lines with this message, oldest first.
-    pub(crate) fn logged(&self, message: &str) -> Vec<Value> {
+    pub fn logged(&self, message: &str) -> Vec<Value> {
         self.log().filter(|line| line["message"] == message).collect()
     }
 }
