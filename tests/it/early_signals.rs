@@ -2,6 +2,7 @@
 //! reload.
 
 use std::fs;
+use std::process::Command;
 
 use nix::sys::signal::Signal;
 
@@ -45,11 +46,21 @@ fn has_hangup(process: &Process, set: &str) -> bool {
     signals & (1 << (Signal::SIGHUP as u64 - 1)) != 0
 }
 
-/// Whoever closes the terminal of another command ends it.
+/// Whoever closes the terminal of another command ends it. Whoever began it with `nohup` does not.
 #[test]
 fn a_hangup_ends_other_commands() {
-    let site = Site::claim();
-    let mut nodes = site.simulated_nodes("0s");
-    nodes.signal(Signal::SIGHUP);
-    assert_eq!(nodes.end(), None, "the signal ends it");
+    for (how, ends) in [("--default-signal=HUP", true), ("--ignore-signal=HUP", false)] {
+        // These tests may themselves have been started so that they, and what they start, ignore it.
+        let mut nodes = Site::claim().simulated_nodes_as("0s", |arguments| {
+            let nodes = pnet_nat(arguments);
+            let mut command = Command::new("env");
+            command.arg(how).arg(nodes.get_program()).args(nodes.get_args());
+            command
+        });
+        nodes.signal(Signal::SIGHUP);
+        if !ends {
+            nodes.signal(Signal::SIGTERM);
+        }
+        assert_eq!(nodes.end(), (!ends).then_some(0), "{how}");
+    }
 }

@@ -8,6 +8,7 @@ use std::fs;
 use std::io;
 use std::net::{Ipv4Addr, SocketAddr, UdpSocket};
 use std::process;
+use std::process::Command;
 use std::sync::atomic::{AtomicU8, AtomicU32, Ordering::Relaxed};
 use std::time::Duration;
 
@@ -81,13 +82,22 @@ impl Site {
 
     /// `pnet-nat node` for the nodes 1 to 4.
     pub fn simulated_nodes(&self, delay: &str) -> Process {
+        self.simulated_nodes_as(delay, pnet_nat)
+    }
+
+    /// The same, with a command that contains these arguments, and possibly more.
+    pub fn simulated_nodes_as(
+        &self,
+        delay: &str,
+        command: impl FnOnce(&[&str]) -> Command,
+    ) -> Process {
         let folder = folder("");
         let listen = format!("{}-4", self.address(1));
         let password = folder.path().join("secrets/section-1");
         let password = password.to_str().unwrap();
         let arguments =
             ["node", "--listen", &listen, "--password-file", password, "--delay", delay];
-        let nodes = Process::start(pnet_nat(&arguments));
+        let nodes = Process::start(command(&arguments));
         eventually("the nodes are there", || (nodes.stdout().lines().count() == 4).then_some(()));
         nodes
     }
