@@ -37,7 +37,10 @@ mod route;
 #[cfg(test)]
 mod tests;
 
-pub use address::{BNA, LAST_NODE, NCNA, NORMAL_PORT, SECURE_PORT, SNA};
+pub use address::{
+    BNA, IpNetId, LAST_NODE, NCNA, NORMAL_PORT, NodeAddress, NotANodeAddress, NotAnIpNetId,
+    SECURE_PORT, SNA,
+};
 pub use datagram::{Datagram, DatagramError, DatagramRepr, EmitError, replace_password};
 pub use dl_route::{DlRoute, DlRouteError, Elements};
 pub use dlpdu::{DlpduType, Indication};
