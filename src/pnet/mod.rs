@@ -1,3 +1,4 @@
 //! P-NET on IP (IEC PAS 62412), without I/O.
 
+pub mod ip_net_table;
 pub mod wire;
