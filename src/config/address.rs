@@ -69,6 +69,24 @@ pub(super) fn endpoint(entry: &Entry<'_>) -> Option<SocketAddr> {
     None
 }
 
+/// An IPv4 address, as an IPNetTable has them.
+pub(super) fn ipv4(entry: &Entry<'_>) -> Option<Ipv4Addr> {
+    let text = entry.text()?;
+    if let Ok(address) = text.parse::<Ipv4Addr>() {
+        return Some(address);
+    }
+    let before_prefix = text.split('/').next().unwrap_or(text);
+    let remedy = match (before_prefix.parse::<Ipv4Addr>(), text.parse::<SocketAddr>()) {
+        (Ok(address), _) => format!("write \"{address}\": its mask is always 255.255.255.0"),
+        (_, Ok(endpoint)) if endpoint.is_ipv4() => {
+            format!("write it without the port: \"{}\"", endpoint.ip())
+        }
+        _ => not_a_name(text) + &entry.like(),
+    };
+    entry.fault(format!("{} cannot be read: not an IPv4 address", quoted(text)), remedy);
+    None
+}
+
 /// A network, or a single address.
 pub(super) fn network(entry: &Entry<'_>) -> Option<IpNet> {
     let text = entry.text()?;

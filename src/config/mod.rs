@@ -2,6 +2,7 @@
 //!
 //! TOML text becomes a [`Config`] that holds nothing to check again, or [`Faults`]: all of them in
 //! one run, each with its line, its key and what to do. `config/pnet-nat.toml` describes the keys.
+//! A client's IPNetTable, which `pnet-nat translate` works from, is read in the same way.
 //!
 //! The tables of the TOML are read key by key instead of by `serde`. `serde` stops at the first fault,
 //! and after it nothing of the file has been checked; it also keeps no place for faults that show only
@@ -18,6 +19,7 @@ mod file;
 pub(crate) mod fixture;
 mod guessable;
 mod host;
+mod ip_net_table;
 mod model;
 mod name;
 mod net;
@@ -52,6 +54,7 @@ use toml_table::Section;
 
 pub(crate) use changes::runs;
 pub use changes::{Changes, NotInForce};
+pub use ip_net_table::{load as load_ip_net_table, parse as parse_ip_net_table};
 pub use model::{Admin, Config, Datapath, Log, NotAPrefilter, Prefilter, Runtime};
 pub use node_range::{NodeRange, NotANodeRange};
 pub use peek::{AdminPlace, admin_place, user};
@@ -86,13 +89,22 @@ fn parse_on(
     host: &dyn Host,
     in_force: Option<&Table>,
 ) -> Result<(Config, Vec<Warning>), Faults> {
+    read_document(text, path, |root| read(root, host, in_force))
+}
+
+/// What `read` makes of a text in TOML; otherwise all faults that it noted.
+fn read_document<T>(
+    text: &str,
+    path: &Path,
+    read: impl FnOnce(Section<'_>) -> Option<T>,
+) -> Result<(T, Vec<Warning>), Faults> {
     let report = Report::new(path, text);
     let (document, errors) = DeTable::parse_recoverable(text);
     syntax::note_faults(&report, &errors);
     // The parser recovers after a fault, but what it then makes of the text may not be what was meant.
-    let root = || read(Section::root(document.get_ref(), &report), host, in_force);
-    let config = report.is_sound().then(root).flatten();
-    report.verdict(config)
+    let root = || read(Section::root(document.get_ref(), &report));
+    let found = report.is_sound().then(root).flatten();
+    report.verdict(found)
 }
 
 /// The configuration; none when there was a fault.

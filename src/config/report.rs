@@ -217,6 +217,9 @@ impl<'a> Report<'a> {
     }
 }
 
+/// The header of what stands above all sections.
+const WHOLE_FILE: &str = "";
+
 /// A key that its section does not have.
 #[derive(Debug)]
 pub(super) struct Unknown {
@@ -232,7 +235,10 @@ impl Unknown {
     /// The path of the key in the section above, if it belongs there.
     fn home(&self, path: &str, known: &BTreeMap<String, Vec<&'static str>>) -> Option<String> {
         let (section, _) = path.rsplit_once('.')?;
-        let (above, _) = section.rsplit_once('.')?;
+        let Some((above, _)) = section.rsplit_once('.') else {
+            let keys = known.get(WHOLE_FILE)?;
+            return keys.contains(&self.name.as_str()).then(|| self.name.clone());
+        };
         let header = self.header.trim_matches(['[', ']']).rsplit_once('.')?.0;
         let keys = known.get(&format!("[[{header}]]"))?;
         keys.contains(&self.name.as_str()).then(|| format!("{above}.{}", self.name))
@@ -246,6 +252,9 @@ impl Unknown {
         let above =
             |home: &&&str| header.trim_matches('[').starts_with(home.trim_matches(['[', ']']));
         match homes.iter().find(above) {
+            Some(&WHOLE_FILE) => Some(format!(
+                "it belongs to the whole file, not to {header}: move it above the first section"
+            )),
             Some(above) => Some(format!(
                 "it is a key of {above}: move it above line {line}, where {header} begins"
             )),

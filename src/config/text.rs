@@ -1,4 +1,4 @@
-//! The text of a configuration file, or why there is none.
+//! The text of a file in TOML, or why there is none.
 
 use std::io::Read;
 use std::path::Path;
@@ -6,18 +6,47 @@ use std::path::Path;
 use super::file::{self, FileError};
 use super::report::{Fault, Faults};
 
-/// The largest configuration that is read, in octets. A server for each port takes less.
+/// The largest file that is read, in octets. A server for each port takes less.
 pub(super) const MOST_OCTETS: u64 = 16 << 20;
+
+/// What a file is meant to be, for remedies.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Kind {
+    Configuration,
+    IpNetTable,
+}
+
+impl Kind {
+    fn remedy_if_absent(self) -> &'static str {
+        match self {
+            Self::Configuration => "name a configuration file that pnet-nat may read with --config",
+            Self::IpNetTable => {
+                "name a file with an IPNetTable that pnet-nat may read with --table"
+            }
+        }
+    }
+
+    fn remedy_if_large(self) -> &'static str {
+        match self {
+            Self::Configuration => "name a configuration file: 65,535 servers fit into less",
+            Self::IpNetTable => "name a file with an IPNetTable: 124 nets fit into less",
+        }
+    }
+}
 
 /// The text of a configuration file.
 pub fn read_text(path: &Path) -> Result<String, Faults> {
+    read(path, Kind::Configuration)
+}
+
+pub(super) fn read(path: &Path, kind: Kind) -> Result<String, Faults> {
     let unreadable = |line, problem, remedy: &str| {
         let (file, key, remedy) = (path.to_owned(), String::new(), remedy.to_owned());
         Faults(vec![Fault { file, line, key, problem, remedy, excerpt: None, passes: false }])
     };
     let cannot_be_read = |error: FileError| {
         let remedy = match error.is_absent() {
-            true => "name a configuration file that pnet-nat may read with --config".into(),
+            true => kind.remedy_if_absent().to_owned(),
             false => error.remedy(path),
         };
         unreadable(None, error.to_string(), &remedy)
@@ -28,11 +57,7 @@ pub fn read_text(path: &Path) -> Result<String, Faults> {
     read.map_err(|error| cannot_be_read(error.into()))?;
     if octets.len() as u64 > MOST_OCTETS {
         let problem = format!("has more than {} MiB", MOST_OCTETS >> 20);
-        return Err(unreadable(
-            None,
-            problem,
-            "name a configuration file: 65,535 servers fit into less",
-        ));
+        return Err(unreadable(None, problem, kind.remedy_if_large()));
     }
     if let Some(encoding) = utf_16(&octets) {
         let remedy = format!("save the file as UTF-8; `iconv -f {encoding} -t UTF-8` converts it");

@@ -69,9 +69,7 @@ impl<'a> Section<'a> {
                 Unknown { name: name.to_owned(), header, line, is_close: close.is_some() };
             self.report.unknown_key(&place, unknown, remedy);
         }
-        if !self.header.is_empty() {
-            self.report.learn(self.header, self.known);
-        }
+        self.report.learn(self.header, self.known);
     }
 
     fn path_of(&self, key: &str) -> String {

@@ -5,6 +5,7 @@
 
 mod faults;
 mod host;
+mod ip_net_table;
 mod reference;
 mod size;
 mod syntax;

@@ -44,5 +44,5 @@ mod translate;
 
 pub use fields::{Field, Fields, Nettype, NotANettype};
 pub use row::RowFault;
-pub use table::{IllegalTable, IpNetTable, TableError};
+pub use table::{DeviceError, IllegalTable, IpNetTable, TableError};
 pub use translate::{Destination, Method, NotADestination, Sender, TranslateError, Translation};

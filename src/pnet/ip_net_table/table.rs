@@ -30,12 +30,6 @@ pub enum TableError {
     /// No row has router 0, so no router could be reached.
     #[error("no IP Range net has router 0, so the node has no own net (PAS 8)")]
     NoOwnNet,
-    /// The device counts more rows than a table has.
-    #[error("NoOfIPNets is {0}, and a table has at most 124 rows (PAS 8)")]
-    TooManyNets(u16),
-    /// The address of the device is not that of a node.
-    #[error("the last octet of {0} is no node address (PAS 7)")]
-    NotANode(Ipv4Addr),
 }
 
 /// All that keeps rows from being an [`IpNetTable`], in the order of the rows.
@@ -52,6 +46,20 @@ impl fmt::Display for IllegalTable {
 }
 
 impl std::error::Error for IllegalTable {}
+
+/// Why what a device holds is no [`IpNetTable`].
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum DeviceError {
+    /// The device counts more rows than a table has.
+    #[error("NoOfIPNets is {0}, and a table has at most 124 rows (PAS 8)")]
+    TooManyNets(u16),
+    /// The address of the device is not that of a node.
+    #[error("the last octet of {0} is no node address (PAS 7)")]
+    NotANode(Ipv4Addr),
+    /// The rows that it counts are not legal.
+    #[error(transparent)]
+    Rows(#[from] IllegalTable),
+}
 
 impl IpNetTable {
     /// The table of a node. Rows that are not named are unused.
@@ -115,9 +123,9 @@ impl IpNetTable {
         ip_address: Ipv4Addr,
         no_of_ip_nets: u16,
         ip_nets: &[Fields; IpNetId::LAST_ROW.get() as usize],
-    ) -> Result<Self, IllegalTable> {
+    ) -> Result<Self, DeviceError> {
         let node = NodeAddress::new(ip_address.octets()[3]);
-        let node = node.ok_or(IllegalTable(vec![TableError::NotANode(ip_address)]))?;
+        let node = node.ok_or(DeviceError::NotANode(ip_address))?;
         let ids = (1..=IpNetId::LAST_ROW.get()).filter_map(IpNetId::new);
         if matches!(no_of_ip_nets, 0 | u16::MAX) {
             let own = Fields {
@@ -126,11 +134,11 @@ impl IpNetTable {
                 udp_port: NORMAL_PORT,
                 ..Fields::UNUSED
             };
-            return Self::new(node, ids.take(1).map(|id| (id, own)));
+            return Ok(Self::new(node, ids.take(1).map(|id| (id, own)))?);
         }
         let counted = ip_nets.get(..no_of_ip_nets.into());
-        let counted = counted.ok_or(IllegalTable(vec![TableError::TooManyNets(no_of_ip_nets)]))?;
-        Self::new(node, ids.zip(counted.iter().copied()))
+        let counted = counted.ok_or(DeviceError::TooManyNets(no_of_ip_nets))?;
+        Ok(Self::new(node, ids.zip(counted.iter().copied()))?)
     }
 
     /// The node whose table this is.
