@@ -7,7 +7,7 @@ use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::time::Duration;
 
 use crate::nat::{Net, NetKind, RequestRate};
-use crate::pnet::wire::{BNA, LAST_NODE, NORMAL_PORT, SECURE_PORT, SNA};
+use crate::pnet::wire::{BNA, LAST_NODE, LAST_START_PORT, NORMAL_PORT, SECURE_PORT, SNA};
 
 use super::address::{endpoint, is_a_host, is_link_local, network};
 use super::credentials::credentials;
@@ -18,8 +18,6 @@ use super::toml_table::{Entry, LONGEST, Section};
 
 /// the node addresses of broadcasts, whose public ports stay closed.
 const BROADCASTS: [u16; 2] = [BNA as u16, SNA as u16];
-/// A15: the highest start port whose last node still has a UDP port.
-const LAST_START_PORT: u16 = u16::MAX - LAST_NODE as u16;
 /// RFC 4787 REQ-5: a mapping lives at least this long.
 const SHORT_IDLE_TIMEOUT: Duration = Duration::from_secs(120);
 /// Lower ports need a privilege to bind.
@@ -274,11 +272,14 @@ fn warn_of_privileged_ports(ports: &Claim<'_, u16>) {
 }
 
 fn warn_of_unreachable(entry: &Entry<'_>, port: u16, node: u8) {
+    let no_row =
+        format!("no IPNetTable row leads to node {node}: its UDPPort would be {port} - {node}");
+    let last = LAST_START_PORT + u16::from(node);
     if port <= u16::from(node) {
-        entry.warn(
-            format!("no IPNetTable row leads to node {node}: its UDPPort would be {port} - {node}"),
-            format!("choose a public port over {node}"),
-        );
+        entry.warn(no_row, format!("choose a public port over {node}"));
+    } else if port > last {
+        let problem = format!("{no_row}, which is over {LAST_START_PORT}");
+        entry.warn(problem, format!("choose a public port up to {last}")); // A15
     }
 }
 

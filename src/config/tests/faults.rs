@@ -542,7 +542,7 @@ fn warns_of_a_password_that_looks_mistyped() {
 
 #[test]
 fn warns_of_what_is_probably_not_meant() {
-    let cases: [Case; 6] = [
+    let cases: [Case; 7] = [
         ("= 40000", "= 34378", 6, "udp_range_net[0].start_port", "34379"),
         ("= 40000", "= 1000", 6, "udp_range_net[0].start_port", "CAP_NET_BIND_SERVICE"),
         ("node = 7", "node = 8", 17, "server[0].address", "last octet"),
@@ -560,6 +560,14 @@ fn warns_of_what_is_probably_not_meant() {
             16,
             "server[0].public_port",
             "no IPNetTable row",
+        ),
+        // A15
+        (
+            "public_port = 40200",
+            "public_port = 65418",
+            16,
+            "server[0].public_port",
+            "65418 - 7, which is over 65410; choose a public port up to 65417",
         ),
     ];
     for (from, to, line, key, part) in cases {

@@ -3,10 +3,7 @@
 use std::net::Ipv4Addr;
 
 use super::{Field, Fields, Nettype};
-use crate::pnet::wire::{IpNetId, LAST_NODE, NodeAddress, SECURE_PORT};
-
-/// A15: the highest start port whose last node still has a UDP port.
-const LAST_START_PORT: u16 = u16::MAX - LAST_NODE as u16;
+use crate::pnet::wire::{IpNetId, LAST_NODE, LAST_START_PORT, NodeAddress, SECURE_PORT};
 
 /// A legal row.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -10,6 +10,8 @@ pub const SECURE_PORT: u16 = 34379;
 
 /// The last address that a server node can have; the first is 1 (R-11, PAS 8, 10).
 pub const LAST_NODE: u8 = 125;
+/// The highest start port of a UDP Range net: there, the last node still has a UDP port (A15).
+pub const LAST_START_PORT: u16 = u16::MAX - LAST_NODE as u16;
 /// Broadcast-Node-address: every node of the net (PAS 10).
 pub const BNA: u8 = 126;
 /// Service-Node-address: every node accepts it, as it does [`BNA`] (PAS 5.4.1.2 a).
