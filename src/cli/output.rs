@@ -3,6 +3,7 @@
 use std::io::{self, Stdout, Write, stdout};
 
 use anstream::{AutoStream, ColorChoice};
+use comfy_table::{Table, presets};
 use serde::Serialize;
 
 /// The format of the output.
@@ -81,4 +82,11 @@ pub(super) fn hex(octets: &[u8]) -> String {
 /// Route elements, separated by dots.
 pub(super) fn dotted(elements: &[u8]) -> String {
     elements.iter().map(u8::to_string).collect::<Vec<_>>().join(".")
+}
+
+/// A table that is plain text, and Markdown too.
+pub(super) fn plain_table<const COLUMNS: usize>(header: [&str; COLUMNS]) -> Table {
+    let mut table = Table::new();
+    table.load_preset(presets::ASCII_MARKDOWN).set_header(header);
+    table
 }

@@ -58,6 +58,18 @@ pub fn parse(text: &str, path: &Path) -> Result<(IpNetTable, Vec<Warning>), Faul
     read_document(text, path, table)
 }
 
+/// A row as [`parse`] reads it.
+#[cfg(feature = "cli")]
+pub(crate) fn row_as_toml(id: IpNetId, fields: &Fields) -> String {
+    let Fields { nettype, ip_address, udp_port, use_password, router, allow_without_password } =
+        fields;
+    let without = if *allow_without_password { "allow_without_password = true\n" } else { "" };
+    format!(
+        "[[ip_net]]\nid = {id}\ntype = \"{nettype}\"\naddress = \"{ip_address}\"\n\
+         port = {udp_port}\nrouter = {router}\nuse_password = {use_password}\n{without}"
+    )
+}
+
 fn table(mut root: Section<'_>) -> Option<IpNetTable> {
     let (place, report) = (root.place.clone(), root.report);
     let node_address = root.key("node_address", "4").required().integer(1..=LAST_NODE);

@@ -54,6 +54,8 @@ use toml_table::Section;
 
 pub(crate) use changes::runs;
 pub use changes::{Changes, NotInForce};
+#[cfg(feature = "cli")]
+pub(crate) use ip_net_table::row_as_toml as ip_net_as_toml;
 pub use ip_net_table::{load as load_ip_net_table, parse as parse_ip_net_table};
 pub use model::{Admin, Config, Datapath, Log, NotAPrefilter, Prefilter, Runtime};
 pub use node_range::{NodeRange, NotANodeRange};

@@ -2,19 +2,21 @@
 //!
 //! Opens none of the relay's ports. Faults and warnings go to stderr, tables to stdout.
 
+mod client;
+
 use std::io::Write;
 use std::net::{IpAddr, SocketAddr};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use clap::builder::BoolishValueParser;
-use comfy_table::{Table, presets};
+use comfy_table::Table;
 use ipnet::{IpNet, Ipv4Net};
 
-use super::output::out;
+use super::output::{out, plain_table};
 use super::{BAD_USE, complain, load, told};
 use crate::config::{self, Config, Warning};
-use crate::nat::{Mapping, Net, NetKind};
+use crate::nat::{Mapping, NetKind};
 use crate::sandbox::{self, User, UserError};
 
 /// Check a configuration: show every fault, or the NAT table and the clients' IPNetTable rows.
@@ -70,15 +72,20 @@ fn read(path: &Path) -> Result<(Config, Vec<Warning>), ExitCode> {
 
 fn summary(config: &Config, full: bool) -> String {
     let listen: Vec<_> = config.listen.iter().map(IpAddr::to_string).collect();
-    let remarks = remarks_on_servers(config).chain(remarks_on_clients(config));
+    let remarks = client::remarks_on_servers(config).chain(remarks_on_clients(config));
     let remarks: Vec<_> = remarks.map(|remark| remark + "\n").collect();
+    let toml = client::toml(config).map_or_else(
+        || "The relay listens on no IPv4 address, and an IPNetTable has no other.\n".to_owned(),
+        |toml| format!("The same as a file for `pnet-nat translate`:\n\n{toml}"),
+    );
     format!(
         "The configuration has no faults. The NAT table, on {}:\n\n{}\n\n\
          What a remote client enters in its IPNetTable:\n\n{}\n\n\
-         Router: the node address of the router on the client's own net, as the client has it.\n{}",
+         Router: the node address of the router on the client's own net, as the client has it.\n{}\n\
+         {toml}",
         listen.join(", "),
         nat_table(config, full),
-        ip_net_table(config),
+        client::ip_net_table(config),
         remarks.concat(),
     )
 }
@@ -99,46 +106,6 @@ fn nat_table(config: &Config, full: bool) -> Table {
         ]);
     }
     table
-}
-
-/// PAS 8, Table 4: the row that leads to each net.
-fn ip_net_table(config: &Config) -> Table {
-    let mut table = plain_table(["Net", "IPAddr", "UDPPort", "UsePW", "Router", "Nettype"]);
-    let address = public_address(&config.listen);
-    for (net, udp_port) in udp_ports(config) {
-        let Some(udp_port) = udp_port else { continue };
-        table.add_row([
-            net.name.clone(),
-            address.clone(),
-            udp_port.to_string(),
-            u8::from(!net.credentials.is_empty()).to_string(),
-            "the client's".to_owned(),
-            "UDPRange".to_owned(),
-        ]);
-    }
-    table
-}
-
-/// The UDPPort of each net's row: public port - node address (R-10); none if that is no port.
-fn udp_ports(config: &Config) -> impl Iterator<Item = (&Net, Option<u16>)> {
-    let nets = config.table.mappings().chunk_by(|a, b| a.net == b.net);
-    nets.map(|mappings| {
-        let start = mappings[0].public_port.checked_sub(mappings[0].node_address.into());
-        (config.table.net(mappings[0].net), start.filter(|&port| port > 0))
-    })
-}
-
-fn remarks_on_servers(config: &Config) -> impl Iterator<Item = String> {
-    let single = |mapping: &&Mapping| config.table.net(mapping.net).kind == NetKind::Server;
-    config.table.mappings().iter().filter(single).map(|mapping| {
-        let name = &config.table.net(mapping.net).name;
-        let (port, node) = (mapping.public_port, mapping.node_address);
-        if port > node.into() {
-            format!("{name}: its row reaches only node {node}.")
-        } else {
-            format!("{name}: no row reaches node {node}, because public port {port} is too low.")
-        }
-    })
 }
 
 /// Nets whose `allow` includes the net's own subnet, but only in a wider network: that does not let in
@@ -165,13 +132,6 @@ fn remarks_on_clients(config: &Config) -> impl Iterator<Item = String> {
     })
 }
 
-fn public_address(listen: &[IpAddr]) -> String {
-    if listen.iter().any(IpAddr::is_unspecified) {
-        return "your public address".to_owned();
-    }
-    listen.iter().map(IpAddr::to_string).collect::<Vec<_>>().join(" or ")
-}
-
 fn span<T: PartialEq + ToString>(first: T, last: T) -> String {
     let (single, first, last) = (first == last, first.to_string(), last.to_string());
     if single { first } else { format!("{first}-{last}") }
@@ -185,10 +145,4 @@ fn servers(first: SocketAddr, last: SocketAddr) -> String {
         }
         _ => first.to_string(),
     }
-}
-
-fn plain_table<const COLUMNS: usize>(header: [&str; COLUMNS]) -> Table {
-    let mut table = Table::new();
-    table.load_preset(presets::ASCII_MARKDOWN).set_header(header);
-    table
 }
