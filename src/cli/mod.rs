@@ -16,6 +16,7 @@ mod request;
 mod run;
 mod signals;
 mod status;
+mod translate;
 
 use std::io::{self, ErrorKind, Write};
 use std::path::Path;
@@ -72,6 +73,7 @@ enum Command {
     Demo(demo::Args),
     Node(node::Args),
     Request(request::Args),
+    Translate(translate::Args),
     Decode(decode::Args),
     Status(status::Args),
     Reload(reload::Args),
@@ -110,6 +112,7 @@ pub fn main() -> ExitCode {
         Command::Demo(args) => demo::run(args),
         Command::Node(args) => node::run(args),
         Command::Request(args) => request::run(args),
+        Command::Translate(args) => translate::run(&args),
         Command::Decode(args) => decode::run(args),
         Command::Status(args) => status::run(args),
         Command::Reload(args) => reload::run(&args),

@@ -35,6 +35,7 @@ mod scale;
 mod status;
 mod status_page;
 mod stopping;
+mod translate;
 mod tunnel;
 mod unicast;
 mod upstream_ports;
