@@ -7,3 +7,4 @@
 pub mod codec;
 pub mod configuration;
 pub mod core;
+pub mod ip_net_table;
