@@ -15,14 +15,19 @@ use super::output::out;
 use super::password_file;
 use super::signals::Signals;
 use crate::config::NodeRange;
-use crate::peer::{NodeSettings, ServerNode, echo};
-use crate::pnet::wire::{Header, NORMAL_PORT, Password, SECURE_PORT};
+use crate::peer::{Faults, NodeCounts, NodeSettings, ServerNode, Share};
+use crate::pnet::endpoint::{Echo, Memory};
+use crate::pnet::wire::{NORMAL_PORT, Password, SECURE_PORT};
 
-/// Run simulated P-NET server nodes that send back the data of each request.
+/// Run simulated P-NET server nodes: they send back the data of each request, or hold a memory.
 #[derive(Debug, clap::Args)]
 #[command(
     after_help = "Example:  pnet-nat node --listen 127.17.17.1-4 --password-file secrets/section-1\n\
-    Every 127.x.x.x address belongs to this machine, so the example needs no set-up."
+    Every 127.x.x.x address belongs to this machine, so the example needs no set-up.\n\n\
+    A memory is read and written with the two control-status that are named, as in\n\
+    --reply memory --read 0x01 --write 0x02, for the standard does not give them. A request begins\n\
+    with the offset in two octets, the upper one first. To read, one octet with the number of\n\
+    octets follows; to write, the octets."
 )]
 pub(super) struct Args {
     /// Addresses of the nodes, separated by commas: 172.17.17.1 or 127.17.17.1-4; the last number
@@ -44,16 +49,43 @@ pub(super) struct Args {
     #[arg(long, value_name = "PORT", default_value_t = NORMAL_PORT, env = "PNET_NAT_NORMAL_PORT")]
     normal_port: u16,
 
-    /// File with exactly the 8 octets of the password, not accessible to others (mode 600).
+    /// Files with exactly the 8 octets of a password, not accessible to others (mode 600),
+    /// separated by commas. Each password opens the Secure port.
     #[arg(
         long,
+        required = true,
         value_name = "FILE",
+        value_delimiter = ',',
         value_parser = password_file,
         env = "PNET_NAT_PASSWORD_FILE"
     )]
-    password_file: Password,
+    password_file: Vec<Password>,
 
-    /// How long a node takes for each request, such as 20ms.
+    /// What a node answers: the data of the request, or what is in its memory.
+    #[arg(long, value_enum, default_value_t = Reply::Echo, env = "PNET_NAT_REPLY")]
+    reply: Reply,
+
+    /// Octets in the memory of a node.
+    #[arg(long, value_name = "OCTETS", default_value = "1024", env = "PNET_NAT_MEMORY")]
+    memory: u16,
+
+    /// Control-status of requests that read the memory, such as 0x01. Without it, none does.
+    #[arg(long, value_name = "OCTET", value_parser = octet, env = "PNET_NAT_READ")]
+    read: Option<u8>,
+
+    /// Control-status of requests that write the memory. Without it, none does.
+    #[arg(long, value_name = "OCTET", value_parser = octet, env = "PNET_NAT_WRITE")]
+    write: Option<u8>,
+
+    #[command(flatten)]
+    faults: FaultArgs,
+}
+
+/// Faults that every node makes on purpose.
+#[derive(Debug, clap::Args)]
+#[command(next_help_heading = "Faults on purpose")]
+struct FaultArgs {
+    /// How long each response takes, such as 20ms.
     #[arg(
         long,
         value_name = "TIME",
@@ -62,6 +94,54 @@ pub(super) struct Args {
         env = "PNET_NAT_DELAY"
     )]
     delay: Duration,
+
+    /// The longest further time that chance adds to each response.
+    #[arg(
+        long,
+        value_name = "TIME",
+        default_value = "0s",
+        value_parser = humantime::parse_duration,
+        env = "PNET_NAT_JITTER"
+    )]
+    jitter: Duration,
+
+    /// The share of responses that are lost, such as 10%.
+    #[arg(long, value_name = "SHARE", default_value = "0%", env = "PNET_NAT_DROP")]
+    drop: Share,
+
+    /// The share of responses that leave twice.
+    #[arg(long, value_name = "SHARE", default_value = "0%", env = "PNET_NAT_DUPLICATE")]
+    duplicate: Share,
+
+    /// The share of responses that take 50 ms longer, so that later ones overtake them.
+    #[arg(long, value_name = "SHARE", default_value = "0%", env = "PNET_NAT_REORDER")]
+    reorder: Share,
+
+    /// Send responses from another port than the one that was asked.
+    #[arg(long, env = "PNET_NAT_ANSWER_FROM_OTHER_PORT")]
+    answer_from_other_port: bool,
+
+    /// Put another password into responses than their requests have.
+    #[arg(long, env = "PNET_NAT_WRONG_PASSWORD")]
+    wrong_password: bool,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum Reply {
+    /// The data of the request.
+    Echo,
+    /// A flat memory that requests read and write.
+    Memory,
+}
+
+/// An octet as P-NET documents and programs write it: 42, 0x2A or $2A.
+fn octet(text: &str) -> Result<u8, &'static str> {
+    let hex = text.strip_prefix("0x").or_else(|| text.strip_prefix('$'));
+    let octet = match hex {
+        Some(hex) => u8::from_str_radix(hex, 16),
+        None => text.parse(),
+    };
+    octet.map_err(|_| "write an octet as a number from 0 to 255, or as 0x00 to 0xFF")
 }
 
 /// Runs the nodes until SIGINT or SIGTERM.
@@ -74,7 +154,13 @@ async fn serve(args: Args) -> anyhow::Result<ExitCode> {
     let mut out = out();
     let mut nodes = Vec::new();
     for address in args.listen.iter().flat_map(AddressRange::addresses) {
-        nodes.push(ServerNode::bind(settings(&args, address))?);
+        let settings = settings(&args, address);
+        nodes.push(match args.reply {
+            Reply::Echo => ServerNode::bind(settings, Echo)?,
+            Reply::Memory => {
+                ServerNode::bind(settings, Memory::new(args.memory, args.read, args.write))?
+            }
+        });
     }
     let mut serving = JoinSet::new();
     let mut counts = Vec::new();
@@ -93,26 +179,48 @@ async fn serve(args: Args) -> anyhow::Result<ExitCode> {
         _ = signals.next() => {}
     }
     for (node_address, counts) in counts {
-        let (received, answered, refused) =
-            (counts.received(), counts.answered(), counts.refused());
-        writeln!(
-            out,
-            "node {node_address}: received {received}, answered {answered}, refused {refused}"
-        )?;
+        writeln!(out, "node {node_address}: {}", summary(&counts))?;
     }
     Ok(ExitCode::SUCCESS)
 }
 
 fn settings(args: &Args, address: Ipv4Addr) -> NodeSettings {
+    let FaultArgs { delay, jitter, drop, duplicate, reorder, .. } = args.faults;
     NodeSettings {
-        address,
         normal_port: args.normal_port,
         secure_port: args.secure_port,
-        header: Header::default(),
-        password: args.password_file.clone(),
-        delay: args.delay,
-        reply: echo,
+        faults: Faults {
+            delay,
+            jitter,
+            drop,
+            duplicate,
+            reorder,
+            answer_from_other_port: args.faults.answer_from_other_port,
+            wrong_password: args.faults.wrong_password,
+        },
+        ..NodeSettings::new(address, args.password_file.clone())
     }
+}
+
+/// What became of a node's datagrams: `received 7, answered 5, refused 2 (2 wrong password)`.
+fn summary(counts: &NodeCounts) -> String {
+    let mut text = format!("received {}, answered {}", counts.received(), counts.answered());
+    for (what, count) in [
+        ("unconfirmed", counts.unconfirmed()),
+        ("without an answer", counts.unserved()),
+        ("lost", counts.lost()),
+    ] {
+        if count > 0 {
+            text += &format!(", {what} {count}");
+        }
+    }
+    text += &format!(", refused {}", counts.refused_total());
+    let reasons = counts.refused().filter(|&(_, count)| count > 0);
+    let reasons: Vec<_> = reasons.map(|(reason, count)| format!("{count} {reason}")).collect();
+    if !reasons.is_empty() {
+        text += &format!(" ({})", reasons.join(", "));
+    }
+    text
 }
 
 /// Addresses of one /24 whose last octets are node addresses.
@@ -152,6 +260,16 @@ impl FromStr for AddressRange {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn octets_are_written_in_three_ways() {
+        for (text, expected) in [("42", 42), ("0x2a", 42), ("$2A", 42), ("0", 0), ("0xFF", 255)] {
+            assert_eq!(octet(text), Ok(expected));
+        }
+        for bad in ["", "256", "0x", "0x100", "$", "-1", "2A"] {
+            assert!(octet(bad).is_err(), "{bad:?}");
+        }
+    }
 
     #[test]
     fn an_address_or_a_range_of_its_last_number() {

@@ -5,10 +5,14 @@
 //! those with its password.
 
 mod client;
+mod counts;
+mod faults;
 mod node;
 
 pub use client::{Answer, Client, ExchangeError, Request, Target};
-pub use node::{NodeCounts, NodeSettings, Reply, ServerNode, echo};
+pub use counts::NodeCounts;
+pub use faults::{Faults, NotAShare, Share};
+pub use node::{NodeError, NodeSettings, ServerNode};
 
 #[cfg(test)]
 mod tests;

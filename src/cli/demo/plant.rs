@@ -7,14 +7,13 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::{Context, bail};
-use arrayvec::ArrayVec;
 use tokio::task::JoinSet;
 
 use crate::config::{Admin, Config, Datapath, Log, Runtime};
-use crate::listen::ListenError;
 use crate::nat::{Credential, Limits, Mapping, Net, NetId, NetKind, Table};
-use crate::peer::{NodeCounts, NodeSettings, ServerNode, Target};
-use crate::pnet::wire::{Header, MAX_DATA, NORMAL_PORT, Password, SECURE_PORT};
+use crate::peer::{Faults, NodeCounts, NodeError, NodeSettings, ServerNode, Target};
+use crate::pnet::endpoint::{Data, Indicated};
+use crate::pnet::wire::{Header, MAX_DATA, Password};
 
 /// Node addresses of the plant.
 const NODES: std::ops::RangeInclusive<u8> = 1..=4;
@@ -117,34 +116,33 @@ impl Plant {
 
 /// What a node of the plant answers: the data of the request and its node address. So an answer to another
 /// request or from another node is recognised.
-pub(super) fn reading(node_address: u8, request: &[u8]) -> ArrayVec<u8, MAX_DATA> {
+pub(super) fn reading(node_address: u8, request: &[u8]) -> Data {
     request.iter().copied().take(MAX_DATA - 1).chain([node_address]).collect()
 }
 
 /// Binds the nodes at 127.17.17.x, or in the next subnet where their ports are free.
-fn bind_nodes(password: &Password) -> Result<Vec<ServerNode>, ListenError> {
+fn bind_nodes(password: &Password) -> Result<Vec<ServerNode>, NodeError> {
     let mut subnet = 17;
     loop {
         match bind_subnet(subnet, password) {
-            Err(error) if error.is_in_use() && subnet < 255 => subnet += 1,
+            Err(NodeError::Listen(error)) if error.is_in_use() && subnet < 255 => subnet += 1,
             outcome => return outcome,
         }
     }
 }
 
-fn bind_subnet(subnet: u8, password: &Password) -> Result<Vec<ServerNode>, ListenError> {
+fn bind_subnet(subnet: u8, password: &Password) -> Result<Vec<ServerNode>, NodeError> {
     let mut nodes = Vec::new();
     for node_address in NODES {
+        let address = Ipv4Addr::new(127, 17, subnet, node_address);
+        let delay = Duration::from_millis(node_address.into());
         let settings = NodeSettings {
-            address: Ipv4Addr::new(127, 17, subnet, node_address),
-            normal_port: NORMAL_PORT,
-            secure_port: SECURE_PORT,
-            header: Header::default(),
-            password: password.clone(),
-            delay: Duration::from_millis(node_address.into()),
-            reply: reading,
+            faults: Faults { delay, ..Faults::default() },
+            ..NodeSettings::new(address, vec![password.clone()])
         };
-        nodes.push(ServerNode::bind(settings)?);
+        let service =
+            move |request: &Indicated<'_>| Some(reading(node_address, request.data_octets));
+        nodes.push(ServerNode::bind(settings, service)?);
     }
     Ok(nodes)
 }

@@ -2,8 +2,8 @@
 //!
 //! A [`Server`] judges the datagrams that come to its two ports, and makes the responses. The caller
 //! has the sockets: it hands over each datagram with its sender, and the time since any moment of
-//! its choice. What the data of a request mean is up to the caller too, for the standard does not
-//! say which service a control-status stands for.
+//! its choice. What the data of a request mean is up to a [`Service`], for the standard does not say
+//! which one a control-status stands for.
 //!
 //! A server that sends the data of each request back:
 //!
@@ -32,8 +32,10 @@
 
 mod dynamic_clients;
 mod server;
+mod service;
 #[cfg(test)]
 mod tests;
 
 pub use dynamic_clients::{DynamicClient, DynamicClients};
 pub use server::{Ignored, Indicated, Port, Requester, Server};
+pub use service::{Data, Echo, Memory, Service};

@@ -93,11 +93,12 @@ impl Requester {
         .emit(octets)
     }
 
-    /// The same client, whose response has another password in place of that of the request: for
-    /// tests of what a client does with it.
+    /// The same client, but its response has another password than the request: to try out what a
+    /// client does about it.
     #[must_use]
-    pub fn with_password(self, password: Password) -> Self {
-        Self { password: self.password.map(|_| password), ..self }
+    pub fn with_wrong_password(self) -> Self {
+        let wrong = |password: Password| Password::new(password.octets().map(|octet| !octet));
+        Self { password: self.password.map(wrong), ..self }
     }
 }
 

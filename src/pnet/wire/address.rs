@@ -77,6 +77,8 @@ pub struct NotAnIpNetId;
 impl IpNetId {
     /// The net of those clients that a server has no row for (PAS 9).
     pub const DYNAMIC_CLIENTS: Self = Self(125);
+    /// The first net.
+    pub const FIRST: Self = Self(1);
     /// The last net that has a row (R-15, PAS 8).
     pub const LAST_ROW: Self = Self(124);
 
