@@ -4,6 +4,7 @@
 mod commands;
 mod links;
 mod page;
+mod requirements;
 
 use std::collections::BTreeSet;
 use std::fmt::Write;
