@@ -5,6 +5,7 @@ mod commands;
 mod links;
 mod page;
 mod requirements;
+mod vectors;
 
 use std::collections::BTreeSet;
 use std::fmt::Write;
