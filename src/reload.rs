@@ -82,7 +82,7 @@ impl Reloader {
     /// Starts the thread. Each reload for `router` then reads the file at `path`.
     pub fn start(path: PathBuf, router: Arc<Router>) -> Result<Self, ThreadError> {
         let of = Arc::clone(&router);
-        let read = move || config::load_again(&path, &of.in_force().config.table);
+        let read = move || config::load_again(&path, &of.active_config().config.table);
         Self::reading(read, READING_TIME, router)
     }
 
@@ -275,7 +275,7 @@ mod tests {
         };
         let time = Duration::from_millis(20);
         let reloader = Reloader::reading(read, time, Arc::clone(&router)).unwrap();
-        let before = router.in_force();
+        let before = router.active_config();
         let fails_with = async || timeout(PATIENCE, reloader.reload()).await.unwrap().unwrap_err();
 
         let why = fails_with().await;
@@ -295,6 +295,6 @@ mod tests {
         while fails_with().await != unsound {
             assert!(std::time::Instant::now() < end, "later reloads are read again");
         }
-        assert!(Arc::ptr_eq(&router.in_force(), &before), "what came late is dropped");
+        assert!(Arc::ptr_eq(&router.active_config(), &before), "what came late is dropped");
     }
 }

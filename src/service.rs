@@ -58,8 +58,8 @@ pub async fn watchdog(router: Arc<Router>) -> ! {
 }
 
 fn status(router: &Router) -> String {
-    let in_force = router.in_force();
-    let (nets, mappings) = (in_force.config.table.nets(), in_force.config.table.mappings());
+    let active = router.active_config();
+    let (nets, mappings) = (active.config.table.nets(), active.config.table.mappings());
     let last = router.last_reload();
     let kept = match (&last.error, last.successful()) {
         (Some(_), _) => "reload failed, as before: ",

@@ -38,8 +38,8 @@ pub(super) async fn control(
     next: Next,
 ) -> Response {
     let verdict = {
-        let in_force = shared.router.in_force();
-        in_force.config.admin.as_ref().map_or(Ok(()), |admin| admit(admin, &request))
+        let active = shared.router.active_config();
+        active.config.admin.as_ref().map_or(Ok(()), |admin| admit(admin, &request))
     };
     let mut response = match verdict {
         Ok(()) => next.run(request).await,

@@ -179,13 +179,13 @@ async fn ready(State(shared): State<Shared>) -> (StatusCode, &'static str) {
 }
 
 async fn reload(State(shared): State<Shared>) -> Response {
-    let in_force = shared.router.in_force();
-    let allowed = in_force.config.admin.as_ref().is_some_and(|admin| admin.reload);
+    let active = shared.router.active_config();
+    let allowed = active.config.admin.as_ref().is_some_and(|admin| admin.reload);
     let Some(reloader) = shared.reloader.filter(|_| allowed) else {
         let message = "reload over HTTP is off; send SIGHUP, or set [admin] reload = true first\n";
         return (StatusCode::FORBIDDEN, message).into_response();
     };
-    drop(in_force);
+    drop(active);
     match reloader.reload().await {
         Ok(reloaded) if reloaded.not_in_force.is_empty() => Json(reloaded).into_response(),
         Ok(changes) => (StatusCode::CONFLICT, Json(changes)).into_response(),

@@ -220,7 +220,7 @@ fn who_scrapes_at_the_same_time_gets_the_same_text() {
     let router = large(4);
     let server = Server::start(Arc::clone(&router));
     let count = |n: u64| {
-        let node = router.in_force();
+        let node = router.active_config();
         node.counters[0]
             .node(NODE_1)
             .direction(Direction::Request)
@@ -304,7 +304,7 @@ fn resident_bytes() -> u64 {
 #[test]
 fn nets_show_what_was_counted() {
     let (router, writer) = (Router::idle(config(), 2), Writer::of_worker());
-    for worker in &router.in_force().counters {
+    for worker in &router.active_config().counters {
         let node = worker.node(NODE_1);
         node.direction(Direction::Request).received.add(&writer, 5);
         node.direction(Direction::Request).forwarded.add(&writer, 4);

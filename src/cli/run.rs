@@ -219,14 +219,14 @@ fn relay(
 }
 
 fn announce(router: &Router) {
-    let in_force = router.in_force();
-    let config = &in_force.config;
+    let active = router.active_config();
+    let config = &active.config;
     tracing::info!(
         version = env!("CARGO_PKG_VERSION"),
         listen = logging::list(&config.listen),
         nets = config.table.nets().len(),
         public_ports = config.table.mappings().len(),
-        workers = in_force.counters.len(),
+        workers = active.counters.len(),
         admin = config.admin.as_ref().map(|admin| tracing::field::display(admin.listen)),
         "relaying"
     );

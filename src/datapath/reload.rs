@@ -89,7 +89,7 @@ impl Router {
         if !self.is_ready() {
             return Err(Stopping);
         }
-        let old = self.in_force();
+        let old = self.active_config();
         let settled = config::keep_settled(&old.config, &mut config);
         let changes = Changes::between(&old.config, &config);
 
@@ -103,7 +103,7 @@ impl Router {
         let Opened { listeners, mut missing } = self.open(&config, &drops, &old, &share);
         let flows_closed = self.go_over(&old, config, drops, listeners, share.upstreams)?;
         drop(old);
-        self.ports.keep_out_of(&[&self.in_force().config]);
+        self.ports.keep_out_of(&[&self.active_config().config]);
         if !missing.is_empty() {
             // The ports of the old configuration are free now. Those of upstream sockets are free
             // soon.
@@ -138,7 +138,7 @@ impl Router {
     /// Opens the missing sockets of the configuration in force, and returns those that are still
     /// missing.
     fn open_missing(&self) -> Result<Vec<Missing>, Stopping> {
-        let now = self.in_force();
+        let now = self.active_config();
         let drops = now.drops().to_vec();
         let share = self.share(&now.config);
         let Opened { listeners, missing } = self.open(&now.config, &drops, &now, &share);
@@ -228,7 +228,7 @@ impl Router {
         let upstream_drops = Arc::clone(&old.upstream_drops);
         let next =
             Arc::new(ActiveConfig::new(config, rules, counters, drops, upstream_drops, listeners));
-        *self.in_force.write().unwrap_or_else(PoisonError::into_inner) = next;
+        *self.active.write().unwrap_or_else(PoisonError::into_inner) = next;
         old.retire();
         Ok(flows_closed)
     }

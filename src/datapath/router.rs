@@ -32,7 +32,7 @@ const ANSWER_TIME: Duration = Duration::from_secs(1);
 /// A running router.
 #[derive(Debug)]
 pub struct Router {
-    pub(in crate::datapath) in_force: RwLock<Arc<ActiveConfig>>,
+    pub(in crate::datapath) active: RwLock<Arc<ActiveConfig>>,
     pub(in crate::datapath) last_reload: Mutex<Arc<LastReload>>,
     /// Held while the workers go over to another configuration, or are told to end.
     pub(in crate::datapath) changing: tokio::sync::Mutex<()>,
@@ -112,9 +112,9 @@ impl Router {
             counters.push(counter);
             workers.push(worker);
         }
-        let in_force = ActiveConfig::new(config, rules, counters, drops, upstream_drops, listeners);
+        let active = ActiveConfig::new(config, rules, counters, drops, upstream_drops, listeners);
         let router = Self {
-            in_force: RwLock::new(Arc::new(in_force)),
+            active: RwLock::new(Arc::new(active)),
             last_reload: Mutex::default(),
             changing: tokio::sync::Mutex::default(),
             audit,
@@ -135,10 +135,9 @@ impl Router {
         let audit = Arc::new(Audit::new(config.log.audit_lines));
         let ports = Arc::new(Ports::new(&config));
         let rules = Rules::new(Arc::clone(&config.table), config.limits);
-        let in_force =
-            ActiveConfig::new(config, rules, counters, drops, Arc::default(), Vec::new());
+        let active = ActiveConfig::new(config, rules, counters, drops, Arc::default(), Vec::new());
         Arc::new(Self {
-            in_force: RwLock::new(Arc::new(in_force)),
+            active: RwLock::new(Arc::new(active)),
             last_reload: Mutex::default(),
             changing: tokio::sync::Mutex::default(),
             audit,
@@ -156,7 +155,7 @@ impl Router {
         self.ready.store(false, Ordering::Release);
         {
             let _unchanged = self.changing.lock().await;
-            let end = Instant::now() + self.in_force().config.runtime.drain;
+            let end = Instant::now() + self.active_config().config.runtime.drain;
             self.workers.iter().for_each(|worker| worker.ask(Command::Drain(end)));
         }
         let ends = std::mem::take(&mut *lock(&self.ends));
@@ -167,8 +166,8 @@ impl Router {
     }
 
     /// The configuration in force, with its counters.
-    pub fn in_force(&self) -> Arc<ActiveConfig> {
-        Arc::clone(&self.in_force.read().unwrap_or_else(PoisonError::into_inner))
+    pub fn active_config(&self) -> Arc<ActiveConfig> {
+        Arc::clone(&self.active.read().unwrap_or_else(PoisonError::into_inner))
     }
 
     /// How the last reload went.

@@ -42,9 +42,9 @@ impl DropReport {
 
     /// Makes the report and starts its first window.
     pub fn new(router: Arc<Router>) -> Self {
-        let in_force = router.in_force();
-        let table = Arc::clone(&in_force.config.table);
-        let reported = table.mapping_ids().map(|mapping| dropped(&in_force, mapping)).collect();
+        let active = router.active_config();
+        let table = Arc::clone(&active.config.table);
+        let reported = table.mapping_ids().map(|mapping| dropped(&active, mapping)).collect();
         Self { router, reported, table, window_began: Instant::now(), going_on: HashMap::new() }
     }
 
@@ -68,16 +68,16 @@ impl DropReport {
     /// lines.
     fn report(&mut self, window: Duration, last: bool) {
         self.window_began = Instant::now();
-        let in_force = self.router.in_force();
-        self.router.audit().end_window(in_force.config.log.audit_lines, window);
-        let table = &in_force.config.table;
+        let active = self.router.active_config();
+        self.router.audit().end_window(active.config.log.audit_lines, window);
+        let table = &active.config.table;
         if !Arc::ptr_eq(table, &self.table) {
             self.reported = carried_over(&self.reported, &self.table, table);
             self.table = Arc::clone(table);
         }
         let mut counts = vec![[0; DropReason::COUNT]; table.nets().len()];
         for (mapping, reported) in table.mapping_ids().zip(&mut self.reported) {
-            let dropped = dropped(&in_force, mapping);
+            let dropped = dropped(&active, mapping);
             let before = std::mem::replace(reported, dropped);
             let counts = &mut counts[usize::from(table.mapping(mapping).net.0)];
             for ((count, now), before) in counts.iter_mut().zip(dropped).zip(before) {
@@ -102,7 +102,7 @@ impl DropReport {
                 if count == 0 {
                     self.going_on.remove(&key);
                 } else {
-                    line(&in_force, net, reason, count, time);
+                    line(&active, net, reason, count, time);
                 }
             }
         }
@@ -111,12 +111,12 @@ impl DropReport {
     }
 }
 
-fn line(in_force: &ActiveConfig, net: NetId, reason: DropReason, count: u64, window: Duration) {
-    let sketches = in_force.counters.iter().map(|worker| worker.net(net).sources(reason));
+fn line(active: &ActiveConfig, net: NetId, reason: DropReason, count: u64, window: Duration) {
+    let sketches = active.counters.iter().map(|worker| worker.net(net).sources(reason));
     let estimate = SourceSketch::take_estimate(sketches);
     // The sketch only estimates. The true number lies between one source and `count`.
     let sources = u64::from(estimate).clamp(1, count);
-    let senders = in_force.counters.iter().map(|worker| worker.net(net).last_sender(reason));
+    let senders = active.counters.iter().map(|worker| worker.net(net).last_sender(reason));
     let last_sender = LastSender::latest(senders);
     let from = match (sources, last_sender) {
         (1, Some(sender)) => sender.to_string(),
@@ -126,7 +126,7 @@ fn line(in_force: &ActiveConfig, net: NetId, reason: DropReason, count: u64, win
     };
     let last = last_sender.filter(|_| sources > 1);
     let last = last.map(|sender| format!(", the last one {sender}")).unwrap_or_default();
-    let net = &in_force.config.table.net(net).name;
+    let net = &active.config.table.net(net).name;
     let (what, seconds) = (reason.counted(count), window.as_secs_f64().ceil());
     warn!(
         %net, reason = %reason.label(), count, sources,
@@ -142,8 +142,8 @@ fn reasons() -> impl Iterator<Item = DropReason> {
 }
 
 /// The datagrams dropped so far on the way to and from a node, by reason.
-fn dropped(in_force: &ActiveConfig, mapping: MappingId) -> [u64; DropReason::COUNT] {
-    let totals = NodeTotals::of_node(&in_force.counters, mapping);
+fn dropped(active: &ActiveConfig, mapping: MappingId) -> [u64; DropReason::COUNT] {
+    let totals = NodeTotals::of_node(&active.counters, mapping);
     let mut dropped = [0; DropReason::COUNT];
     for direction in Direction::ALL {
         for &reason in direction.drop_reasons() {
@@ -181,8 +181,8 @@ mod tests {
     }
 
     fn drop_some(router: &Router, reason: DropReason, sources: impl Iterator<Item = u64>) {
-        let (in_force, writer) = (router.in_force(), Writer::of_worker());
-        for ((source, worker), now) in sources.zip(in_force.counters.iter().cycle()).zip(1..) {
+        let (active, writer) = (router.active_config(), Writer::of_worker());
+        for ((source, worker), now) in sources.zip(active.counters.iter().cycle()).zip(1..) {
             let sender = Ipv4Addr::from([198, 51, 100, source as u8]).into();
             let node = worker.node(if source % 2 == 0 { NODE_1 } else { NODE_33 });
             node.direction(Direction::Request).dropped(reason).add(&writer, 1);
@@ -248,7 +248,7 @@ mod tests {
         drop_some(&router, DropReason::BadHeader, 0..5);
         let turned = Router::idle(turned(), 1);
         let carried = (NODE_1.0, 50 + 3);
-        let of_turned = turned.in_force();
+        let of_turned = turned.active_config();
         for (mapping, count) in [carried, (NODE_33.0, 7)] {
             let node = of_turned.counters[0].node(MappingId(mapping));
             node.direction(Direction::Request)

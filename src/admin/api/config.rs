@@ -14,8 +14,8 @@ use crate::nat::{Credential, Mapping, Net, NetKind, RequestRate};
 
 /// `GET /api/v1/config`
 pub(in crate::admin) async fn config(State(shared): State<Shared>) -> Response {
-    let in_force = shared.router.in_force();
-    shared.turn.take(|| Json(ConfigInForce::of(&in_force.config)).into_response()).await
+    let active = shared.router.active_config();
+    shared.turn.take(|| Json(ConfigInForce::of(&active.config)).into_response()).await
 }
 
 /// The configuration.

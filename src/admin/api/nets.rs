@@ -33,8 +33,8 @@ pub(in crate::admin) async fn nets(
     State(shared): State<Shared>,
     Query(query): Query<NetsQuery>,
 ) -> Response {
-    let (started, in_force) = (shared.router.started(), shared.router.in_force());
-    let table = Arc::clone(&in_force.config.table);
+    let (started, active) = (shared.router.started(), shared.router.active_config());
+    let table = Arc::clone(&active.config.table);
     let is_asked_for =
         |id: &NetId| query.net.as_ref().is_none_or(|name| table.net(*id).name == *name);
     let nets: Vec<NetId> = table.net_ids().filter(is_asked_for).collect();
@@ -43,7 +43,7 @@ pub(in crate::admin) async fn nets(
     }
     let with_nodes = query.nodes.unwrap_or(true);
     let net = move |net| {
-        let mut net = NetState::of(&in_force, started, net);
+        let mut net = NetState::of(&active, started, net);
         net.nodes = net.nodes.filter(|_| with_nodes);
         serde_json::to_string(&net)
     };
@@ -78,11 +78,11 @@ struct NetState<'a> {
 }
 
 impl<'a> NetState<'a> {
-    fn of(in_force: &'a ActiveConfig, started: Instant, id: NetId) -> Self {
-        let table = &in_force.config.table;
+    fn of(active: &'a ActiveConfig, started: Instant, id: NetId) -> Self {
+        let table = &active.config.table;
         let net = table.net(id);
-        let totals = NetTotals::of_net(&in_force.counters, table, id);
-        let node = |mapping| NodeState::of(in_force, started, mapping);
+        let totals = NetTotals::of_net(&active.counters, table, id);
+        let node = |mapping| NodeState::of(active, started, mapping);
         let nodes: Vec<_> = table.mappings_of(id).map(node).collect();
         let count = |state: Presence| nodes.iter().filter(|node| node.presence == state).count();
         let silent = nodes.iter().filter(|node| node.presence == Presence::Silent);
@@ -95,12 +95,12 @@ impl<'a> NetState<'a> {
             flows_opened: totals.flows_opened,
             flows_closed: CloseReason::ALL.into_iter().map(closed).collect(),
             accepted_requests: credentials.zip(totals.accepted.iter().copied()).collect(),
-            kernel_dropped_datagrams: in_force.kernel_drops(id).by_cause().into(),
+            kernel_dropped_datagrams: active.kernel_drops(id).by_cause().into(),
             wrong_password_sources: totals.wrong_password_sources,
             answering_nodes: count(Presence::Answering),
             silent_nodes: silent.map(|node| node.element.node).collect(),
             never_asked_nodes: count(Presence::NeverAsked),
-            traffic: Traffic::of(&NodeTotals::of_net(&in_force.counters, table, id)),
+            traffic: Traffic::of(&NodeTotals::of_net(&active.counters, table, id)),
             nodes: Some(nodes),
         }
     }
@@ -134,12 +134,12 @@ fn label<S: Serializer>(presence: &Presence, serializer: S) -> Result<S::Ok, S::
 }
 
 impl NodeState {
-    fn of(in_force: &ActiveConfig, started: Instant, mapping: MappingId) -> Self {
-        let totals = NodeTotals::of_node(&in_force.counters, mapping);
+    fn of(active: &ActiveConfig, started: Instant, mapping: MappingId) -> Self {
+        let totals = NodeTotals::of_node(&active.counters, mapping);
         let now = started.elapsed();
         let age = |last| now.saturating_sub(last).as_secs_f64();
         Self {
-            element: Element::of(in_force.config.table.mapping(mapping)),
+            element: Element::of(active.config.table.mapping(mapping)),
             presence: totals.presence(now),
             traffic: Traffic::of(&totals),
             last_request_age_seconds: totals.last_request.map(age),

@@ -94,24 +94,24 @@ impl<'a> Status<'a> {
             state: state.label(),
             why: state.why(),
         };
-        let in_force = shared.router.in_force();
-        let Config { table, limits, .. } = &in_force.config;
+        let active = shared.router.active_config();
+        let Config { table, limits, .. } = &active.config;
         Self {
             version: env!("CARGO_PKG_VERSION"),
             commit: Some(COMMIT).filter(|commit| !commit.is_empty()),
             ready: shared.router.is_ready(),
             uptime_seconds: shared.router.started().elapsed().as_secs_f64(),
             reload: ReloadState::of(last_reload),
-            workers: in_force.counters.len(),
+            workers: active.counters.len(),
             public_ports: table.mappings().len(),
             max_flows: limits.max_flows,
-            wrong_password_sources: totals::wrong_password_sources(&in_force.counters, table),
+            wrong_password_sources: totals::wrong_password_sources(&active.counters, table),
             wrong_password_sources_at_most: SourceSketch::MOST,
             stray_responses: DirectionState::of(
-                &NodeTotals::of_strays(&in_force.counters),
+                &NodeTotals::of_strays(&active.counters),
                 Direction::Response,
             ),
-            upstream_kernel_dropped_datagrams: in_force.upstream_kernel_drops().by_cause().into(),
+            upstream_kernel_dropped_datagrams: active.upstream_kernel_drops().by_cause().into(),
             response_time_bounds_seconds: RESPONSE_BUCKETS,
             sandbox: shared.sandbox.layers().map(state).collect(),
         }

@@ -57,7 +57,7 @@ impl Figures {
         router: &Router,
         traffic: &Traffic,
     ) -> Self {
-        let router = &*router.in_force();
+        let router = &*router.active_config();
         let nodes = plant.nodes().iter().zip(traffic.polled()).zip(mappings(router));
         let nodes = nodes.map(|((node, polled), mapping)| NodeFigures {
             node_address: node.node_address,

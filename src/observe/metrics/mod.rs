@@ -57,7 +57,7 @@ impl Metrics {
     /// is called.
     pub fn chunks(&self) -> impl Iterator<Item = String> + Send + use<> {
         self.look_at_the_clock();
-        let (in_force, started_at) = (self.router.in_force(), self.started_at());
+        let (active, started_at) = (self.router.active_config(), self.started_at());
         let state = RouterState {
             last_reload: self.router.last_reload(),
             started: self.router.started(),
@@ -70,7 +70,7 @@ impl Metrics {
         let process = iter::once_with(|| ProcessCollector::for_self().collect()).flatten();
         NET_FAMILIES
             .iter()
-            .flat_map(move |family| net_family(Arc::clone(&in_force), started_at, family))
+            .flat_map(move |family| net_family(Arc::clone(&active), started_at, family))
             .chain(router.chain(layers).chain(process).filter_map(|family| encode(&family)))
     }
 
@@ -90,16 +90,16 @@ impl Metrics {
 
 /// The text of one family, net by net. Strays come last.
 fn net_family(
-    in_force: Arc<ActiveConfig>,
+    active: Arc<ActiveConfig>,
     started_at: f64,
     family: &'static NetFamily,
 ) -> impl Iterator<Item = String> {
-    let nets = in_force.config.table.net_ids().map(Some).chain([None]);
+    let nets = active.config.table.net_ids().map(Some).chain([None]);
     let mut headed = false;
     nets.filter_map(move |net| {
         let sums = match net {
-            Some(net) => net_sums(&in_force, started_at, net),
-            None => stray_sums(&in_force, started_at),
+            Some(net) => net_sums(&active, started_at, net),
+            None => stray_sums(&active, started_at),
         };
         let samples = (family.samples)(&sums);
         let mut text = encode(&metric_family(family.name, family.help, family.kind, samples))?;
@@ -111,8 +111,8 @@ fn net_family(
     })
 }
 
-fn net_sums(in_force: &ActiveConfig, started_at: f64, id: NetId) -> NetSums<'_> {
-    let (table, workers) = (&in_force.config.table, &in_force.counters);
+fn net_sums(active: &ActiveConfig, started_at: f64, id: NetId) -> NetSums<'_> {
+    let (table, workers) = (&active.config.table, &active.counters);
     let net = table.net(id);
     let node = |mapping| {
         let node_address = table.mapping(mapping).node_address.to_string();
@@ -122,17 +122,17 @@ fn net_sums(in_force: &ActiveConfig, started_at: f64, id: NetId) -> NetSums<'_> 
         label: &net.name,
         nodes: table.mappings_of(id).map(node).collect(),
         net: Some((net, NetTotals::of_net(workers, table, id))),
-        kernel_drops: Box::new(move || in_force.kernel_drops(id)),
+        kernel_drops: Box::new(move || active.kernel_drops(id)),
         started_at,
     }
 }
 
-fn stray_sums(in_force: &ActiveConfig, started_at: f64) -> NetSums<'_> {
+fn stray_sums(active: &ActiveConfig, started_at: f64) -> NetSums<'_> {
     NetSums {
         label: STRAY_NET,
-        nodes: vec![(STRAY_NODE.to_owned(), NodeTotals::of_strays(&in_force.counters))],
+        nodes: vec![(STRAY_NODE.to_owned(), NodeTotals::of_strays(&active.counters))],
         net: None,
-        kernel_drops: Box::new(|| in_force.upstream_kernel_drops()),
+        kernel_drops: Box::new(|| active.upstream_kernel_drops()),
         started_at,
     }
 }

@@ -111,7 +111,7 @@ fn every_reason_stands_at_0_before_anything_happened() {
 #[test]
 fn workers_are_added_up() {
     let (router, writer) = (Router::idle(config(), 2), Writer::of_worker());
-    for (worker, n) in router.in_force().counters.iter().zip([3, 40]) {
+    for (worker, n) in router.active_config().counters.iter().zip([3, 40]) {
         let requests = worker.node(NODE_33).direction(Direction::Request);
         requests.received.add(&writer, n);
         requests.forwarded.add(&writer, n - 1);
@@ -154,7 +154,7 @@ fn workers_are_added_up() {
 fn the_histogram_is_cumulative_and_ends_with_the_count() {
     let (router, writer) = (Router::idle(config(), 2), Writer::of_worker());
     let times = [150, 900, 900, 7_000, 60_000_000].map(Duration::from_micros);
-    for (worker, time) in router.in_force().counters.iter().cycle().zip(times) {
+    for (worker, time) in router.active_config().counters.iter().cycle().zip(times) {
         worker.node(NODE_1).response_times.observe(&writer, time);
     }
     let scrape = Scrape::of(&router);
@@ -172,7 +172,9 @@ fn the_histogram_is_cumulative_and_ends_with_the_count() {
 #[test]
 fn the_last_response_is_the_latest_of_all_workers_in_unix_time() {
     let (router, writer) = (Router::idle(config(), 2), Writer::of_worker());
-    for (worker, nanos) in router.in_force().counters.iter().zip([2_500_000_000, 1_000_000_000]) {
+    for (worker, nanos) in
+        router.active_config().counters.iter().zip([2_500_000_000, 1_000_000_000])
+    {
         worker.node(NODE_1).last_response.set(&writer, nanos);
     }
     let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap().as_secs_f64();
@@ -187,8 +189,8 @@ fn the_last_response_is_the_latest_of_all_workers_in_unix_time() {
 #[test]
 fn who_waits_for_an_answer_is_told_since_when_in_unix_time() {
     let router = Router::idle(config(), 2);
-    let (in_force, writer) = (router.in_force(), Writer::of_worker());
-    let [first, second] = [&in_force.counters[0], &in_force.counters[1]];
+    let (active, writer) = (router.active_config(), Writer::of_worker());
+    let [first, second] = [&active.counters[0], &active.counters[1]];
     let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap().as_secs_f64();
     let waiting = || {
         let series = "pnet_nat_unanswered_since_timestamp_seconds{net=\"section-1\",node=\"1\"}";
@@ -211,8 +213,8 @@ fn text_comes_net_by_net_and_only_when_asked_for() {
     let mut chunks = Metrics::new(router.clone(), Sandbox::off()).chunks();
     let first = chunks.next().unwrap();
     assert!(first.contains("section-1") && !first.contains("press"), "{first}");
-    let in_force = router.in_force();
-    let press = in_force.counters[0].node(crate::nat::MappingId(1));
+    let active = router.active_config();
+    let press = active.counters[0].node(crate::nat::MappingId(1));
     press.direction(Direction::Request).received.add(&Writer::of_worker(), 9);
     let second = chunks.next().unwrap();
     assert!(second.contains("node=\"7\",direction=\"request\"} 9\n"), "{second}");
