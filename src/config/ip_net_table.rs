@@ -27,7 +27,6 @@ struct Draft<'a> {
 #[derive(Debug)]
 struct Entries<'a> {
     id: Entry<'a>,
-    nettype: Entry<'a>,
     address: Entry<'a>,
     port: Entry<'a>,
     router: Entry<'a>,
@@ -42,7 +41,6 @@ impl<'a> Entries<'a> {
             Field::UdpPort => &self.port,
             Field::UsePw => &self.use_password,
             Field::Router => &self.router,
-            Field::Nettype => &self.nettype,
         }
     }
 }
@@ -155,7 +153,6 @@ fn draft(mut section: Section<'_>) -> Option<Draft<'_>> {
     };
     let entries = Entries {
         id: id_entry,
-        nettype: nettype_entry,
         address: address_entry,
         port: port_entry,
         router: router_entry,

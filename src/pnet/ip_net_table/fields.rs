@@ -90,8 +90,6 @@ pub enum Field {
     UsePw,
     /// [`Fields::router`]
     Router,
-    /// [`Fields::nettype`]
-    Nettype,
 }
 
 impl fmt::Display for Field {
@@ -102,7 +100,6 @@ impl fmt::Display for Field {
             Self::UdpPort => "UDPPort",
             Self::UsePw => "UsePW",
             Self::Router => "Router",
-            Self::Nettype => "Nettype",
         })
     }
 }

@@ -95,17 +95,6 @@ pub enum TranslateError {
     BroadcastOverUdpRange(IpNetId),
 }
 
-impl TranslateError {
-    /// The row that has no way.
-    pub const fn row(self) -> IpNetId {
-        match self {
-            Self::UnusedNet(row) | Self::DynamicClients(row) | Self::BroadcastOverUdpRange(row) => {
-                row
-            }
-        }
-    }
-}
-
 /// Who sent a package, as the package and its datagram say.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Sender {

@@ -23,11 +23,6 @@ pub const NCNA: u8 = 0;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct NodeAddress(u8);
 
-/// A number that is no node address.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("a node address is a number from 1 to {LAST_NODE} (PAS 8)")]
-pub struct NotANodeAddress;
-
 impl NodeAddress {
     /// The node address with this number, if there is one.
     pub const fn new(number: u8) -> Option<Self> {
@@ -48,14 +43,6 @@ impl NodeAddress {
     }
 }
 
-impl TryFrom<u8> for NodeAddress {
-    type Error = NotANodeAddress;
-
-    fn try_from(number: u8) -> Result<Self, NotANodeAddress> {
-        Self::new(number).ok_or(NotANodeAddress)
-    }
-}
-
 impl fmt::Display for NodeAddress {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         self.0.fmt(f)
@@ -69,7 +56,7 @@ impl fmt::Display for NodeAddress {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct IpNetId(u8);
 
-/// A number or text that is no IPNetID.
+/// A text that is no IPNetID.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("an IPNetID is a number from 1 to 125: 0, 126 and 127 are reserved (PAS 5.2.2)")]
 pub struct NotAnIpNetId;
@@ -93,14 +80,6 @@ impl IpNetId {
     /// The number, 1 to 125.
     pub const fn get(self) -> u8 {
         self.0
-    }
-}
-
-impl TryFrom<u8> for IpNetId {
-    type Error = NotAnIpNetId;
-
-    fn try_from(number: u8) -> Result<Self, NotAnIpNetId> {
-        Self::new(number).ok_or(NotAnIpNetId)
     }
 }
 

@@ -38,8 +38,8 @@ mod route;
 mod tests;
 
 pub use address::{
-    BNA, IpNetId, LAST_NODE, LAST_START_PORT, NCNA, NORMAL_PORT, NodeAddress, NotANodeAddress,
-    NotAnIpNetId, SECURE_PORT, SNA,
+    BNA, IpNetId, LAST_NODE, LAST_START_PORT, NCNA, NORMAL_PORT, NodeAddress, NotAnIpNetId,
+    SECURE_PORT, SNA,
 };
 pub use datagram::{Datagram, DatagramError, DatagramRepr, EmitError, replace_password};
 pub use dl_route::{DlRoute, DlRouteError, Elements};
