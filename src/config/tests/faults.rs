@@ -4,23 +4,8 @@
 
 use super::*;
 
-/// What is changed, and the fault to expect: line, key path, a part of the message.
-type Case = (&'static str, &'static str, usize, &'static str, &'static str);
-
-/// Checks that each change leads to exactly one fault, in the right place, with a remedy.
 fn refuses(cases: &[Case]) {
-    let folder = folder();
-    for &(from, to, line, key, part) in cases {
-        let Err(Faults(faults)) = read_in(folder.path(), &changed(from, to)) else {
-            panic!("{to:?} is taken")
-        };
-        let [fault] = faults.as_slice() else { panic!("{to:?}: {faults:#?}") };
-        assert_eq!((fault.line, fault.key.as_str()), (Some(line), key), "{to:?}: {fault}");
-        let message = fault.to_string();
-        assert!(message.contains(part), "{to:?}: {message}");
-        assert!(!fault.remedy.is_empty() && !message.contains('\n'), "{to:?}: {message:?}");
-        assert!(!message.contains("s3cr3t"), "{message}");
-    }
+    each_is_refused(SOUND, cases, read_in);
 }
 
 #[test]

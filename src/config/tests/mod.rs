@@ -93,8 +93,35 @@ fn read(text: &str) -> Result<(Config, Vec<Warning>), Faults> {
 
 /// [`SOUND`] with one thing changed.
 fn changed(from: &str, to: &str) -> String {
-    assert!(SOUND.contains(from), "{from:?} is not in the sound configuration");
-    SOUND.replacen(from, to, 1)
+    changed_in(SOUND, from, to)
+}
+
+/// A text with one thing changed.
+fn changed_in(sound: &str, from: &str, to: &str) -> String {
+    assert!(sound.contains(from), "{from:?} is not in the text");
+    sound.replacen(from, to, 1)
+}
+
+/// What is changed, and the fault to expect: line, key path, a part of the message.
+type Case = (&'static str, &'static str, usize, &'static str, &'static str);
+
+/// Checks that each change of a text leads to exactly one fault, in the right place, with a remedy.
+fn each_is_refused<T>(
+    sound: &str,
+    cases: &[Case],
+    read_in: impl Fn(&Path, &str) -> Result<T, Faults>,
+) {
+    let folder = folder();
+    for &(from, to, line, key, part) in cases {
+        let read = read_in(folder.path(), &changed_in(sound, from, to));
+        let Err(Faults(faults)) = read else { panic!("{to:?} is taken") };
+        let [fault] = faults.as_slice() else { panic!("{to:?}: {faults:#?}") };
+        assert_eq!((fault.line, fault.key.as_str()), (Some(line), key), "{to:?}: {fault}");
+        let message = fault.to_string();
+        assert!(message.contains(part), "{to:?}: {message}");
+        assert!(!fault.remedy.is_empty() && !message.contains('\n'), "{to:?}: {message:?}");
+        assert!(!message.contains("s3cr3t"), "{message}");
+    }
 }
 
 #[test]
