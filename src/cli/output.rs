@@ -1,5 +1,6 @@
 //! The output of commands on stdout: text for people, or one JSON object a line.
 
+use std::fmt::{self, Write as _};
 use std::io::{self, Stdout, Write, stdout};
 
 use anstream::{AutoStream, ColorChoice};
@@ -75,13 +76,31 @@ pub(super) fn print_json(line: &impl Serialize, out: &mut impl Write) -> io::Res
     writeln!(out)
 }
 
-pub(super) fn hex(octets: &[u8]) -> String {
-    octets.iter().map(|octet| format!("{octet:02x}")).collect()
+/// Octets as pairs of hexadecimal digits.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Hex<'a>(pub(super) &'a [u8]);
+
+impl fmt::Display for Hex<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        const DIGITS: &[u8; 16] = b"0123456789abcdef";
+        self.0.iter().try_for_each(|octet| {
+            let [high, low] = [octet >> 4, octet & 0x0F].map(|digit| DIGITS[usize::from(digit)]);
+            f.write_char(char::from(high))?;
+            f.write_char(char::from(low))
+        })
+    }
 }
 
 /// Route elements, separated by dots.
-pub(super) fn dotted(elements: &[u8]) -> String {
-    elements.iter().map(u8::to_string).collect::<Vec<_>>().join(".")
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Dotted<'a>(pub(super) &'a [u8]);
+
+impl fmt::Display for Dotted<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Some((first, others)) = self.0.split_first() else { return Ok(()) };
+        write!(f, "{first}")?;
+        others.iter().try_for_each(|element| write!(f, ".{element}"))
+    }
 }
 
 /// A table that is plain text, and Markdown too.

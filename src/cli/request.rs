@@ -12,7 +12,7 @@ use std::time::Duration;
 use serde::Serialize;
 use tokio::time::MissedTickBehavior;
 
-use super::output::{Format, dotted, hex, out, print_json};
+use super::output::{Dotted, Format, Hex, out, print_json};
 use super::password_file;
 use crate::config::NodeRange;
 use crate::peer::{Answer, Client, ExchangeError, Request, Target};
@@ -156,7 +156,7 @@ impl From<&Result<(Answer, Duration), ExchangeError>> for Outcome {
                 destinations: answer.destinations.to_vec(),
                 sources: answer.sources.to_vec(),
                 control_status: answer.control_status,
-                data: hex(&answer.data_octets),
+                data: Hex(&answer.data_octets).to_string(),
             },
             Err(error) => Self::Failed { error: error.to_string() },
         }
@@ -182,8 +182,8 @@ impl Line {
                     "{:.3} ms, control-status ${control_status:02X}, data {}, route to {} from {}",
                     round_trip_seconds * 1e3,
                     if data.is_empty() { "none" } else { data },
-                    dotted(destinations),
-                    dotted(sources),
+                    Dotted(destinations),
+                    Dotted(sources),
                 )
             }
             Outcome::Failed { error } => writeln!(out, "{error}"),

@@ -1,31 +1,32 @@
 //! A datagram as it is printed. The JSON has the field names of the Wireshark dissector without `pnet.`;
 //! a test compares the two.
 //!
-//! Invariant: of the octets only the decoded fields are kept, and of the password only whether there is
-//! one.
+//! Invariant: of the octets only the decoded fields are shown, and of the password only whether there is
+//! one. Nothing here allocates: there may be millions of datagrams.
 
-use std::fmt;
+use std::fmt::{self, Display};
 use std::net::SocketAddr;
 use std::time::SystemTime;
 
 use serde::{Serialize, Serializer};
 
 use super::row::InRow;
-use crate::cli::output::{dotted, hex};
+use crate::cli::output::{Dotted, Hex};
 use crate::pnet::wire::{
-    BNA, Datagram, DatagramError, DatagramRepr, DlpduType, Header, Route, RouteFormat, SNA,
+    BNA, Datagram, DatagramError, DatagramRepr, DlpduType, Elements, Header, Route, RouteFormat,
+    SNA,
 };
 
 /// A datagram and where it was found.
 #[derive(Debug, Serialize)]
-pub(super) struct Line {
+pub(super) struct Line<'a> {
     #[serde(flatten)]
     pub(super) place: Locator,
     /// Only where it is one of several in a payload.
     #[serde(flatten)]
     pub(super) in_row: Option<InRow>,
     #[serde(flatten)]
-    pub(super) fields: Fields,
+    pub(super) fields: Fields<'a>,
 }
 
 /// Where a datagram was found.
@@ -46,26 +47,30 @@ pub(super) enum Locator {
 
 /// What a datagram says, as far as it can be read.
 #[derive(Debug, Serialize)]
-pub(super) struct Fields {
+pub(super) struct Fields<'a> {
     length: usize,
     #[serde(flatten)]
-    route: Option<RouteFields>,
+    route: Option<RouteFields<'a>>,
     #[serde(flatten)]
-    rest: Option<Rest>,
+    rest: Option<Rest<'a>>,
     #[serde(flatten)]
     fault: Option<Fault>,
 }
 
 /// Header and route: what comes before the control-status.
 #[derive(Debug, Serialize)]
-struct RouteFields {
-    header: String,
-    route: String,
+struct RouteFields<'a> {
+    #[serde(serialize_with = "text")]
+    header: Header,
+    #[serde(serialize_with = "text")]
+    route: Hex<'a>,
     route_format: &'static str,
     #[serde(skip_serializing_if = "Option::is_none")]
     remaining_route_length: Option<u8>,
-    destinations: Vec<u8>,
-    sources: Vec<u8>,
+    #[serde(serialize_with = "list")]
+    destinations: Elements,
+    #[serde(serialize_with = "list")]
+    sources: Elements,
     #[serde(flatten)]
     ip: Option<IpRoute>,
 }
@@ -81,32 +86,41 @@ struct IpRoute {
 
 /// What comes after the route.
 #[derive(Debug, Serialize)]
-struct Rest {
+struct Rest<'a> {
     #[serde(skip_serializing_if = "Option::is_none")]
     dlpdu_type: Option<&'static str>,
     control_status: u8,
     data_field_format: u8,
     data_field_flags: u8,
     data_size: usize,
-    data: String,
+    #[serde(serialize_with = "text")]
+    data: Hex<'a>,
     password: &'static str,
 }
 
 /// Why it is not a datagram, and the first octet that is wrong.
 #[derive(Debug, Serialize)]
 struct Fault {
-    error: String,
+    #[serde(serialize_with = "text")]
+    error: Error,
     error_offset: usize,
 }
 
-impl Fields {
+#[derive(Debug, thiserror::Error)]
+enum Error {
+    #[error("only {captured} of its {length} octets were captured")]
+    Cut { captured: usize, length: usize },
+    #[error(transparent)]
+    Malformed(#[from] DatagramError),
+}
+
+impl<'a> Fields<'a> {
     /// Reads what was captured of a datagram of `length` octets.
-    pub(super) fn of(octets: &[u8], length: usize, header: Header) -> Self {
+    pub(super) fn of(octets: &'a [u8], length: usize, header: Header) -> Self {
         let captured = octets.len();
-        let fault = |error: String, error_offset| Some(Fault { error, error_offset });
         if captured < length {
-            let error = format!("only {captured} of its {length} octets were captured");
-            let fault = fault(error, captured);
+            let fault =
+                Some(Fault { error: Error::Cut { captured, length }, error_offset: captured });
             return Self { length, route: None, rest: None, fault };
         }
         match Datagram::parse(octets, header) {
@@ -119,20 +133,21 @@ impl Fields {
                 let package = octets.get(Header::LEN..).unwrap_or_default();
                 let route =
                     Route::parse(package).ok().filter(|_| error == DatagramError::BadLength);
+                let error_offset = error.position(octets, header);
                 Self {
                     length,
                     route: route.map(|route| RouteFields::of(header, route)),
                     rest: None,
-                    fault: fault(error.to_string(), error.position(octets, header)),
+                    fault: Some(Fault { error: error.into(), error_offset }),
                 }
             }
         }
     }
 }
 
-impl RouteFields {
-    fn of(header: Header, route: Route<'_>) -> Self {
-        let sources: Vec<_> = route.sources().collect();
+impl<'a> RouteFields<'a> {
+    fn of(header: Header, route: Route<'a>) -> Self {
+        let sources: Elements = route.sources().collect();
         let ip = match (route.ip_net_id(), route.node_address(), &sources[..]) {
             (Some(ip_net_id), Some(node_address), &[source_ip_net_id, source_node_address, ..]) => {
                 Some(IpRoute { ip_net_id, node_address, source_ip_net_id, source_node_address })
@@ -140,8 +155,8 @@ impl RouteFields {
             _ => None,
         };
         Self {
-            header: header.to_string(),
-            route: hex(route.as_bytes()),
+            header,
+            route: Hex(route.as_bytes()),
             route_format: match route.format() {
                 RouteFormat::Simple => "simple",
                 RouteFormat::Extended => "extended",
@@ -157,8 +172,8 @@ impl RouteFields {
     }
 }
 
-impl Rest {
-    fn of(datagram: &Datagram<'_>) -> Self {
+impl<'a> Rest<'a> {
+    fn of(datagram: &Datagram<'a>) -> Self {
         Self {
             dlpdu_type: datagram.dlpdu_type().map(|dlpdu_type| match dlpdu_type {
                 DlpduType::Confirmed => "confirmed",
@@ -170,82 +185,114 @@ impl Rest {
             data_field_format: datagram.data_field_format(),
             data_field_flags: DatagramRepr::parse(datagram).data_field_flags,
             data_size: datagram.data_octets().len(),
-            data: hex(datagram.data_octets()),
+            data: Hex(datagram.data_octets()),
             password: if datagram.password().is_some() { "present" } else { "absent" },
         }
     }
 }
 
-impl fmt::Display for Line {
+impl Display for Line<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match &self.place {
-            Locator::Text { line } => write!(f, "line {line}: ")?,
-            Locator::Capture { packet, time, from, to } => {
-                write!(f, "packet {packet}, ")?;
-                if let Some(time) = time {
-                    write!(f, "{}, ", humantime::format_rfc3339_micros(*time))?;
-                }
-                write!(f, "{from} > {to}: ")?;
-            }
-        }
-        if let Some(InRow { datagram, datagrams }) = self.in_row {
-            write!(f, "{datagram} of {datagrams}: ")?;
+        write!(f, "{}: ", self.place)?;
+        if let Some(in_row) = self.in_row {
+            write!(f, "{in_row}: ")?;
         }
         self.fields.fmt(f)
     }
 }
 
-impl fmt::Display for Fields {
+impl Display for Locator {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Text { line } => write!(f, "line {line}"),
+            Self::Capture { packet, time, from, to } => {
+                write!(f, "packet {packet}, ")?;
+                if let Some(time) = time {
+                    write!(f, "{}, ", humantime::format_rfc3339_micros(*time))?;
+                }
+                write!(f, "{from} > {to}")
+            }
+        }
+    }
+}
+
+impl Display for Fields<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         if let Some(Fault { error, error_offset }) = &self.fault {
             write!(f, "malformed at octet {error_offset} of {}: {error}", self.length)?;
         } else if let Some(rest) = &self.rest {
-            f.write_str(&rest.dlpdu_type.unwrap_or("of no DLPDU type").replace('_', " "))?;
+            f.write_str(rest.type_in_words())?;
         }
         if let Some(route) = &self.route {
             write!(f, "; {route}")?;
         }
         if let Some(rest) = &self.rest {
             let Rest { control_status, data_field_format, data, password, .. } = rest;
-            let data = if data.is_empty() { "none" } else { data };
             write!(
                 f,
                 "; control-status ${control_status:02X}, data-field-format \
-                 ${data_field_format:02X}, data {data}, password {password}"
+                 ${data_field_format:02X}, data "
             )?;
+            if data.0.is_empty() {
+                f.write_str("none")?;
+            }
+            write!(f, "{data}, password {password}")?;
         }
         Ok(())
     }
 }
 
-impl fmt::Display for RouteFields {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{} route", self.route_format)?;
-        let Some(ip) = &self.ip else {
-            return write!(f, " to {} from {}", dotted(&self.destinations), dotted(&self.sources));
-        };
-        end(f, "to", [ip.ip_net_id, ip.node_address], &self.destinations)?;
-        f.write_str(",")?;
-        end(f, "from", [ip.source_ip_net_id, ip.source_node_address], &self.sources)
+impl Rest<'_> {
+    fn type_in_words(&self) -> &'static str {
+        match self.dlpdu_type {
+            Some("immediate_reply") => "immediate reply",
+            Some(dlpdu_type) => dlpdu_type,
+            None => "of no DLPDU type",
+        }
     }
 }
 
-/// One end of a route over IP: its net, its node, and the elements after these two.
-fn end(
-    f: &mut fmt::Formatter<'_>,
-    direction: &str,
-    [ip_net_id, node_address]: [u8; 2],
-    elements: &[u8],
-) -> fmt::Result {
-    write!(f, " {direction} net {ip_net_id} node {node_address}")?;
-    f.write_str(match node_address {
-        BNA => " (every node)",
-        SNA => " (service)",
-        _ => "",
-    })?;
-    match elements.get(2..) {
-        None | Some([]) => Ok(()),
-        Some(beyond) => write!(f, ", on to {}", dotted(beyond)),
+impl Display for RouteFields<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{} route to {}", self.route_format, self.destination())?;
+        f.write_str(if self.ip.is_some() { ", from " } else { " from " })?;
+        self.source().fmt(f)
+    }
+}
+
+impl RouteFields<'_> {
+    fn destination(&self) -> End<'_> {
+        let ip = self.ip.as_ref().map(|ip| [ip.ip_net_id, ip.node_address]);
+        End { ip, elements: &self.destinations }
+    }
+
+    fn source(&self) -> End<'_> {
+        let ip = self.ip.as_ref().map(|ip| [ip.source_ip_net_id, ip.source_node_address]);
+        End { ip, elements: &self.sources }
+    }
+}
+
+/// One end of a route: over IP its net, its node, and the elements after these two.
+struct End<'a> {
+    ip: Option<[u8; 2]>,
+    elements: &'a [u8],
+}
+
+impl Display for End<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Some([ip_net_id, node_address]) = self.ip else {
+            return Dotted(self.elements).fmt(f);
+        };
+        write!(f, "net {ip_net_id} node {node_address}")?;
+        f.write_str(match node_address {
+            BNA => " (every node)",
+            SNA => " (service)",
+            _ => "",
+        })?;
+        match self.elements.get(2..) {
+            None | Some([]) => Ok(()),
+            Some(beyond) => write!(f, ", on to {}", Dotted(beyond)),
+        }
     }
 }
 
@@ -256,6 +303,14 @@ fn rfc3339<S: Serializer>(time: &Option<SystemTime>, serializer: S) -> Result<S:
     }
 }
 
+fn text<S: Serializer>(value: &impl Display, serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.collect_str(value)
+}
+
+fn list<S: Serializer>(elements: &Elements, serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.collect_seq(elements)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -264,7 +319,7 @@ mod tests {
     const FIGURE_10: &[u8] =
         b"\x02\0\0\0\x0B\x04\x05\x02\x21\x8B\x83\x9F\x2A\xC3\x12\x34\x56PNETPASS";
 
-    fn line(octets: &[u8], length: usize) -> Line {
+    fn line(octets: &[u8], length: usize) -> Line<'_> {
         let fields = Fields::of(octets, length, Header::default());
         Line { place: Locator::Text { line: 7 }, in_row: None, fields }
     }

@@ -1,28 +1,38 @@
 //! `pnet-nat decode`: shows the datagrams of hex text or of a capture.
 //!
-//! `capture` reads pcap and pcapng, `packet` finds the UDP payload in a packet, `hex` reads text, `row`
-//! splits a packet that the kernel would have split later, `line` is what is printed. Invariants: no
-//! password is ever printed, and any input is read as a stream with a bounded buffer.
+//! `input` is the stream, `capture` reads pcap and pcapng, `packet` finds the UDP payload in a packet, `hex`
+//! reads text, `row` splits a packet that the kernel would have split later, `decoder` joins them, and
+//! `line` is what is printed. Invariants: no password is ever printed, and memory has a bound, whatever the
+//! input holds.
 
 mod capture;
+mod decoder;
 mod hex;
+mod input;
 mod line;
 mod packet;
+mod ports;
+mod progress;
 mod row;
+mod stop;
 
-use std::fs::File;
-use std::io::{self, BufRead, BufReader, Read, Write, stdin};
+use std::cell::RefCell;
+use std::io::{BufRead, BufReader, BufWriter, Cursor, Read, Write};
 use std::path::PathBuf;
 use std::process::ExitCode;
-use std::str::FromStr;
 
-use anyhow::{Context, ensure};
+use anyhow::Context;
 
 use super::complain;
-use super::output::{Format, out, print_json};
-use crate::pnet::wire::{Header, NORMAL_PORT, SECURE_PORT};
-use line::{Fields, Line, Locator};
-use row::InRow;
+use super::output::{Format, out};
+use crate::pnet::wire::Header;
+use decoder::{Decoder, Settings};
+use input::Input;
+use ports::{PortRange, Ports};
+use stop::Stop;
+
+/// Octets that are read, and written, at once.
+const BUFFER: usize = 1 << 18;
 
 /// Show the datagrams of hex text or of a capture (pcap, pcapng), without their passwords.
 #[derive(Debug, clap::Args)]
@@ -50,115 +60,39 @@ pub(super) struct Args {
     format: Format,
 }
 
-/// A range of ports: `40001-40125`, or one port: `40200`.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct PortRange {
-    first: u16,
-    last: u16,
-}
-
-impl PortRange {
-    /// The Normal and the Secure port (PAS 11).
-    const P_NET: Self = Self { first: NORMAL_PORT, last: SECURE_PORT };
-
-    fn contains(self, port: u16) -> bool {
-        (self.first..=self.last).contains(&port)
-    }
-}
-
-impl FromStr for PortRange {
-    type Err = anyhow::Error;
-
-    fn from_str(text: &str) -> anyhow::Result<Self> {
-        let (first, last) = text.split_once('-').unwrap_or((text, text));
-        let port = |text: &str| text.parse::<u16>().context("a port is 1 to 65535");
-        let (first, last) = (port(first)?, port(last)?);
-        ensure!(0 < first && first <= last, "write ports like 40001-40125, the lower one first");
-        Ok(Self { first, last })
-    }
-}
-
 /// Shows all datagrams of the input.
 pub(super) fn run(args: Args) -> anyhow::Result<ExitCode> {
-    let (input, name): (Box<dyn Read>, _) = if args.file.as_os_str() == "-" {
-        (Box::new(stdin()), "standard input".to_owned())
-    } else {
-        let name = args.file.display().to_string();
-        (Box::new(File::open(&args.file).with_context(|| name.clone())?), name)
+    let (file, name) = input::open(&args.file)?;
+    let stop = Stop::at_signals()?;
+    let output = RefCell::new(BufWriter::with_capacity(BUFFER, out()));
+    let input = BufReader::with_capacity(BUFFER, Input::new(file, &output, stop.clone()));
+    let settings = Settings {
+        ports: Ports::of_p_net_and(&args.ports),
+        header: args.header,
+        format: args.format,
     };
-    decode(BufReader::new(input), &args, &mut out()).context(name)?;
+    decode(input, Decoder::new(settings, &output), &stop).context(name)?;
+    output.into_inner().flush()?;
     Ok(ExitCode::SUCCESS)
 }
 
-fn decode(mut input: impl BufRead, args: &Args, out: &mut impl Write) -> anyhow::Result<()> {
-    let mut print = |place, in_row, octets: &[u8], length| {
-        let line = Line { place, in_row, fields: Fields::of(octets, length, args.header) };
-        match args.format {
-            Format::Text => writeln!(out, "{line}"),
-            Format::Json => print_json(&line, out),
-        }
-    };
-    let mut show = |place, octets: &[u8], length| -> io::Result<()> {
-        let row = row::datagrams(octets, args.header).filter(|_| octets.len() == length);
-        let Some(row) = row else {
-            return print(place, None, octets, length);
-        };
-        let datagrams = row.len();
-        (1..).zip(row).try_for_each(|(datagram, octets)| {
-            print(place, Some(InRow { datagram, datagrams }), octets, octets.len())
-        })
-    };
+fn decode(
+    mut input: impl BufRead,
+    mut decoder: Decoder<'_, impl Write>,
+    stop: &Stop,
+) -> anyhow::Result<()> {
     let mut beginning = Vec::new();
     input.by_ref().take(4).read_to_end(&mut beginning)?;
     let is_capture = capture::is_magic(&beginning);
-    let input = io::Cursor::new(beginning).chain(input);
+    let input = Cursor::new(beginning).chain(input);
     if !is_capture {
-        return hex::read(input, |line, octets| {
-            Ok(show(Locator::Text { line }, octets, octets.len())?)
-        });
+        return hex::read(input, |line, octets| Ok(decoder.text(line, octets)?));
     }
-
-    let (mut shown, mut unknown_link) = (0_u64, None);
-    capture::read(input, |captured| {
-        let Ok(found) = packet::datagram(captured.link, captured.octets) else {
-            unknown_link = Some(captured.link.0);
-            return Ok(());
-        };
-        let ports = || args.ports.iter().copied().chain([PortRange::P_NET]);
-        let is_wanted = |port| ports().any(|range| range.contains(port));
-        if let Some(udp) =
-            found.filter(|udp| is_wanted(udp.to.port()) || is_wanted(udp.from.port()))
-        {
-            shown += 1;
-            let (packet, time) = (captured.number, captured.time);
-            let place = Locator::Capture { packet, time, from: udp.from, to: udp.to };
-            show(place, udp.octets, udp.length)?;
-        }
-        Ok(())
-    })?;
-    if let Some(link) = unknown_link {
-        complain(format_args!(
-            "packets of link type {link} were left out; Ethernet, raw IP, Linux cooked and \
-             loopback are read"
-        ));
+    let read = capture::read(input, |captured| Ok(decoder.packet(&captured)?));
+    // A signal may have ended the input inside a block.
+    if !stop.has_come() {
+        read?;
     }
-    if shown == 0 {
-        complain("no datagram on these ports; --ports adds others");
-    }
+    decoder.finish();
     Ok(())
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn ports_are_read_as_ranges() {
-        let range = |text: &str| text.parse::<PortRange>();
-        assert_eq!(range("40001-40125").unwrap(), PortRange { first: 40001, last: 40125 });
-        assert_eq!(range("40200").unwrap(), PortRange { first: 40200, last: 40200 });
-        for bad in ["", "0", "40125-40001", "40001-", "65536", "40001-40002-3"] {
-            assert!(range(bad).is_err(), "{bad:?}");
-        }
-    }
 }

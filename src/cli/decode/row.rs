@@ -3,6 +3,7 @@
 //!
 //! Invariant: every datagram of a row is well-formed, so nothing of the next one is shown with it.
 
+use std::fmt;
 use std::slice::Chunks;
 
 use serde::Serialize;
@@ -17,6 +18,12 @@ const MOST: usize = 64;
 pub(super) struct InRow {
     pub(super) datagram: usize,
     pub(super) datagrams: usize,
+}
+
+impl fmt::Display for InRow {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{} of {}", self.datagram, self.datagrams)
+    }
 }
 
 /// The datagrams of a row; none when the payload is one datagram, or not a row.
