@@ -2,12 +2,15 @@
 
 use std::cell::RefCell;
 use std::io::{self, Write};
+use std::net::SocketAddr;
 
 use super::capture::Captured;
+use super::complain;
+use super::fragments::{Broken, Fragments, Outcome, Partial};
 use super::line::{Fields, Line, Locator};
+use super::packet::{self, Found, Udp};
 use super::ports::Ports;
 use super::row::{self, InRow};
-use super::{complain, packet};
 use crate::cli::output::{Format, print_json};
 use crate::pnet::wire::Header;
 
@@ -22,38 +25,82 @@ pub(super) struct Settings {
 pub(super) struct Decoder<'a, W> {
     settings: Settings,
     output: &'a RefCell<W>,
+    fragments: Fragments,
     shown: u64,
     unknown_link: Option<i32>,
 }
 
 impl<'a, W: Write> Decoder<'a, W> {
     pub(super) fn new(settings: Settings, output: &'a RefCell<W>) -> Self {
-        Self { settings, output, shown: 0, unknown_link: None }
+        Self { settings, output, fragments: Fragments::default(), shown: 0, unknown_link: None }
     }
 
     /// Shows a datagram that was written as text.
     pub(super) fn text(&mut self, line: u64, octets: &[u8]) -> io::Result<()> {
-        self.payload(Locator::Text { line }, octets, octets.len())
+        self.payload(Place { at: Locator::Text { line }, fragments: None }, octets, octets.len())
     }
 
     /// Shows what is in a captured packet.
     pub(super) fn packet(&mut self, captured: &Captured<'_>) -> io::Result<()> {
-        let Ok(found) = packet::datagram(captured.link, captured.octets) else {
-            self.unknown_link = Some(captured.link.0);
-            return Ok(());
-        };
-        let Some(udp) = found else { return Ok(()) };
-        let (from, to) = (udp.from, udp.to);
-        let ports = &self.settings.ports;
-        if !ports.contains(to.port()) && !ports.contains(from.port()) {
-            return Ok(());
+        let &Captured { number, time, link, octets } = captured;
+        while let Some(partial) = self.fragments.overdue(time) {
+            self.broken(&partial, Broken::Missing)?;
         }
-        let place = Locator::Capture { packet: captured.number, time: captured.time, from, to };
-        self.payload(place, udp.octets, udp.length)
+        match packet::find(link, octets) {
+            Ok(Some(Found::Datagram(udp))) => self.udp(captured, &udp, None),
+            Ok(Some(Found::Fragment(fragment))) => {
+                match self.fragments.add(number, time, &fragment) {
+                    Outcome::Waits => Ok(()),
+                    Outcome::Broken(partial, why) => self.broken(&partial, why),
+                    Outcome::Whole(whole) => match whole.udp() {
+                        Some(udp) => self.udp(captured, &udp, Some(whole.fragments)),
+                        None => Ok(()),
+                    },
+                }
+            }
+            Ok(None) => Ok(()),
+            Err(packet::UnknownLink) => {
+                self.unknown_link = Some(link.0);
+                Ok(())
+            }
+        }
     }
 
-    /// Says what was left out of a capture.
-    pub(super) fn finish(self) {
+    fn udp(
+        &mut self,
+        captured: &Captured<'_>,
+        udp: &Udp<'_>,
+        fragments: Option<usize>,
+    ) -> io::Result<()> {
+        let &Udp { from, to, octets, length } = udp;
+        if !self.is_wanted(from, to) {
+            return Ok(());
+        }
+        let at = Locator::Capture { packet: captured.number, time: captured.time, from, to };
+        self.payload(Place { at, fragments }, octets, length)
+    }
+
+    /// Names a datagram that was not put together.
+    fn broken(&mut self, partial: &Partial, why: Broken) -> io::Result<()> {
+        let Some(head) = partial.head.filter(|head| self.is_wanted(head.from, head.to)) else {
+            return Ok(());
+        };
+        let Partial { packet, time, .. } = *partial;
+        let at = Locator::Capture { packet, time, from: head.from, to: head.to };
+        let fields = Fields::of_broken(head, why);
+        self.print(&Line { place: at, fragments: None, in_row: None, fields })
+    }
+
+    fn is_wanted(&self, from: SocketAddr, to: SocketAddr) -> bool {
+        let ports = &self.settings.ports;
+        ports.contains(to.port()) || ports.contains(from.port())
+    }
+
+    /// Shows what was still open, and says what was left out of a capture.
+    pub(super) fn finish(mut self) -> io::Result<()> {
+        while let Some(partial) = self.fragments.next() {
+            self.broken(&partial, Broken::Missing)?;
+        }
         if let Some(link) = self.unknown_link {
             complain(format_args!(
                 "packets of link type {link} were left out; Ethernet, raw IP, Linux cooked and \
@@ -63,33 +110,38 @@ impl<'a, W: Write> Decoder<'a, W> {
         if self.shown == 0 {
             complain("no datagram on these ports; --ports adds others");
         }
+        Ok(())
     }
 
     /// A payload of `length` octets: one datagram, or a row of them.
-    fn payload(&mut self, place: Locator, octets: &[u8], length: usize) -> io::Result<()> {
-        let row = row::datagrams(octets, self.settings.header);
-        let Some(row) = row.filter(|_| octets.len() == length) else {
-            return self.datagram(place, None, octets, length);
+    fn payload(&mut self, place: Place, octets: &[u8], length: usize) -> io::Result<()> {
+        let header = self.settings.header;
+        let Place { at, fragments } = place;
+        let row = row::datagrams(octets, header).filter(|_| octets.len() == length);
+        let Some(row) = row else {
+            let fields = Fields::of(octets, length, header);
+            return self.print(&Line { place: at, fragments, in_row: None, fields });
         };
         let datagrams = row.len();
         (1..).zip(row).try_for_each(|(datagram, octets)| {
-            self.datagram(place, Some(InRow { datagram, datagrams }), octets, octets.len())
+            let in_row = Some(InRow { datagram, datagrams });
+            let fields = Fields::of(octets, octets.len(), header);
+            self.print(&Line { place: at, fragments, in_row, fields })
         })
     }
 
-    fn datagram(
-        &mut self,
-        place: Locator,
-        in_row: Option<InRow>,
-        octets: &[u8],
-        length: usize,
-    ) -> io::Result<()> {
+    fn print(&mut self, line: &Line<'_>) -> io::Result<()> {
         self.shown += 1;
-        let line = Line { place, in_row, fields: Fields::of(octets, length, self.settings.header) };
         let mut output = self.output.borrow_mut();
         match self.settings.format {
             Format::Text => writeln!(output, "{line}"),
-            Format::Json => print_json(&line, &mut *output),
+            Format::Json => print_json(line, &mut *output),
         }
     }
+}
+
+/// Where a payload was found, and how many fragments it came in, if it did.
+struct Place {
+    at: Locator,
+    fragments: Option<usize>,
 }

@@ -10,6 +10,7 @@ use std::time::SystemTime;
 
 use serde::{Serialize, Serializer};
 
+use super::fragments::{Broken, Head};
 use super::row::InRow;
 use crate::cli::output::{Dotted, Hex};
 use crate::pnet::wire::{
@@ -22,6 +23,9 @@ use crate::pnet::wire::{
 pub(super) struct Line<'a> {
     #[serde(flatten)]
     pub(super) place: Locator,
+    /// How many IP fragments it came in, if it did.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) fragments: Option<usize>,
     /// Only where it is one of several in a payload.
     #[serde(flatten)]
     pub(super) in_row: Option<InRow>,
@@ -87,8 +91,8 @@ struct IpRoute {
 /// What comes after the route.
 #[derive(Debug, Serialize)]
 struct Rest<'a> {
-    #[serde(skip_serializing_if = "Option::is_none")]
-    dlpdu_type: Option<&'static str>,
+    #[serde(serialize_with = "dlpdu_type", skip_serializing_if = "Option::is_none")]
+    dlpdu_type: Option<DlpduType>,
     control_status: u8,
     data_field_format: u8,
     data_field_flags: u8,
@@ -112,9 +116,17 @@ enum Error {
     Cut { captured: usize, length: usize },
     #[error(transparent)]
     Malformed(#[from] DatagramError),
+    #[error(transparent)]
+    Broken(#[from] Broken),
 }
 
 impl<'a> Fields<'a> {
+    /// Those of a datagram whose fragments were not put together. Nothing but its length is certain.
+    pub(super) fn of_broken(head: Head, why: Broken) -> Self {
+        let fault = Some(Fault { error: why.into(), error_offset: head.captured });
+        Self { length: head.length, route: None, rest: None, fault }
+    }
+
     /// Reads what was captured of a datagram of `length` octets.
     pub(super) fn of(octets: &'a [u8], length: usize, header: Header) -> Self {
         let captured = octets.len();
@@ -175,12 +187,7 @@ impl<'a> RouteFields<'a> {
 impl<'a> Rest<'a> {
     fn of(datagram: &Datagram<'a>) -> Self {
         Self {
-            dlpdu_type: datagram.dlpdu_type().map(|dlpdu_type| match dlpdu_type {
-                DlpduType::Confirmed => "confirmed",
-                DlpduType::Unconfirmed => "unconfirmed",
-                DlpduType::ImmediateReply => "immediate_reply",
-                DlpduType::Acknowledge => "acknowledge",
-            }),
+            dlpdu_type: datagram.dlpdu_type(),
             control_status: datagram.control_status(),
             data_field_format: datagram.data_field_format(),
             data_field_flags: DatagramRepr::parse(datagram).data_field_flags,
@@ -194,6 +201,9 @@ impl<'a> Rest<'a> {
 impl Display for Line<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{}: ", self.place)?;
+        if let Some(fragments) = self.fragments {
+            write!(f, "of {fragments} fragments: ")?;
+        }
         if let Some(in_row) = self.in_row {
             write!(f, "{in_row}: ")?;
         }
@@ -245,8 +255,10 @@ impl Display for Fields<'_> {
 impl Rest<'_> {
     fn type_in_words(&self) -> &'static str {
         match self.dlpdu_type {
-            Some("immediate_reply") => "immediate reply",
-            Some(dlpdu_type) => dlpdu_type,
+            Some(DlpduType::Confirmed) => "confirmed",
+            Some(DlpduType::Unconfirmed) => "unconfirmed",
+            Some(DlpduType::ImmediateReply) => "immediate reply",
+            Some(DlpduType::Acknowledge) => "acknowledge",
             None => "of no DLPDU type",
         }
     }
@@ -303,6 +315,17 @@ fn rfc3339<S: Serializer>(time: &Option<SystemTime>, serializer: S) -> Result<S:
     }
 }
 
+fn dlpdu_type<S: Serializer>(value: &Option<DlpduType>, serializer: S) -> Result<S::Ok, S::Error> {
+    value
+        .map(|dlpdu_type| match dlpdu_type {
+            DlpduType::Confirmed => "confirmed",
+            DlpduType::Unconfirmed => "unconfirmed",
+            DlpduType::ImmediateReply => "immediate_reply",
+            DlpduType::Acknowledge => "acknowledge",
+        })
+        .serialize(serializer)
+}
+
 fn text<S: Serializer>(value: &impl Display, serializer: S) -> Result<S::Ok, S::Error> {
     serializer.collect_str(value)
 }
@@ -321,7 +344,7 @@ mod tests {
 
     fn line(octets: &[u8], length: usize) -> Line<'_> {
         let fields = Fields::of(octets, length, Header::default());
-        Line { place: Locator::Text { line: 7 }, in_row: None, fields }
+        Line { place: Locator::Text { line: 7 }, fragments: None, in_row: None, fields }
     }
 
     #[track_caller]

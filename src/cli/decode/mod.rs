@@ -1,12 +1,13 @@
 //! `pnet-nat decode`: shows the datagrams of hex text or of a capture.
 //!
-//! `input` is the stream, `capture` reads pcap and pcapng, `packet` finds the UDP payload in a packet, `hex`
-//! reads text, `row` splits a packet that the kernel would have split later, `decoder` joins them, and
-//! `line` is what is printed. Invariants: no password is ever printed, and memory has a bound, whatever the
+//! `input` is the stream, `capture` reads pcap and pcapng, `packet` finds the UDP payload in a packet,
+//! `fragments` puts it together, `hex` reads text, `row` splits a packet that the kernel would have split
+//! later, `decoder` joins them, and `line` is what is printed. Invariants: no password is ever printed, and memory has a bound, whatever the
 //! input holds.
 
 mod capture;
 mod decoder;
+mod fragments;
 mod hex;
 mod input;
 mod line;
@@ -93,6 +94,5 @@ fn decode(
     if !stop.has_come() {
         read?;
     }
-    decoder.finish();
-    Ok(())
+    Ok(decoder.finish()?)
 }

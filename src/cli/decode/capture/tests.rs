@@ -187,7 +187,7 @@ proptest! {
             *place.get_mut(&mut file[4..]) = value;
         }
         let _ = read(&file[..], |packet| {
-            let _ = (crate::cli::decode::packet::datagram(packet.link, packet.octets), packet.time);
+            let _ = (crate::cli::decode::packet::find(packet.link, packet.octets), packet.time);
             Ok(())
         });
     }
