@@ -4,7 +4,7 @@ use std::fmt::{self, Write as _};
 use std::io::{self, Stdout, Write, stdout};
 
 use anstream::{AutoStream, ColorChoice};
-use comfy_table::{Table, presets};
+use comfy_table::{CellAlignment, Table, presets};
 use serde::Serialize;
 
 /// The format of the output.
@@ -104,8 +104,54 @@ impl fmt::Display for Dotted<'_> {
 }
 
 /// A table that is plain text, and Markdown too.
-pub(super) fn plain_table<const COLUMNS: usize>(header: [&str; COLUMNS]) -> Table {
+pub(super) fn plain_table(header: impl Into<comfy_table::Row>) -> Table {
     let mut table = Table::new();
     table.load_preset(presets::ASCII_MARKDOWN).set_header(header);
     table
+}
+
+/// A table whose columns of figures are on the right.
+pub(super) fn table<Row>(header: impl Into<comfy_table::Row>, rows: &[Row]) -> Table
+where
+    Row: AsRef<[String]> + Clone + Into<comfy_table::Row>,
+{
+    let mut table = plain_table(header);
+    table.add_rows(rows.to_vec());
+    let is_figure = |text: &String| text == "–" || text.starts_with(|c: char| c.is_ascii_digit());
+    for (index, column) in table.column_iter_mut().enumerate() {
+        if rows.iter().all(|row| is_figure(&row.as_ref()[index])) {
+            column.set_cell_alignment(CellAlignment::Right);
+        }
+    }
+    table
+}
+
+/// A time with two digits, since the relay gives no more.
+pub(super) fn duration(seconds: Option<f64>) -> String {
+    let Some(seconds) = seconds else { return "–".to_owned() };
+    let (figure, unit) = if seconds < 1.0 { (seconds * 1e3, "ms") } else { (seconds, "s") };
+    let before_the_point = figure.max(1e-9).log10().floor();
+    let decimals = (1.0 - before_the_point).clamp(0.0, 3.0) as usize;
+    format!("{figure:.decimals$} {unit}")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn times_have_the_two_digits_that_are_true() {
+        assert_eq!(duration(None), "–");
+        for (seconds, text) in [
+            (0.000_053, "0.053 ms"),
+            (0.0052, "5.2 ms"),
+            (0.027, "27 ms"),
+            (0.82, "820 ms"),
+            (1.0, "1.0 s"),
+            (3.1, "3.1 s"),
+            (62.0, "62 s"),
+        ] {
+            assert_eq!(duration(Some(seconds)), text);
+        }
+    }
 }

@@ -65,6 +65,14 @@ impl Default for ResponseTotals {
 }
 
 impl ResponseTotals {
+    /// Counts one answer that took `elapsed`.
+    pub fn observe(&mut self, elapsed: Duration) {
+        let bound = FINE_BOUNDS.partition_point(|&bound| u128::from(bound) < elapsed.as_nanos());
+        let bucket = &mut self.0[bound];
+        bucket.answers += 1;
+        bucket.sum = bucket.sum.saturating_add(elapsed);
+    }
+
     /// The number of measured times.
     pub fn count(&self) -> u64 {
         self.0.iter().map(|bucket| bucket.answers).sum()

@@ -4,9 +4,9 @@ use std::collections::BTreeMap;
 use std::fmt::Write;
 use std::time::Duration;
 
-use comfy_table::{CellAlignment, ContentArrangement, Table, presets};
+use comfy_table::ContentArrangement;
 
-use super::super::output::Paint;
+use super::super::output::{Paint, duration, table};
 use super::snapshot::{Net, Node, NotInForce, Reload, Snapshot, Status, Traffic};
 
 /// The most nodes that are all listed without `--full`.
@@ -134,7 +134,7 @@ impl Layout {
         let mut header = vec!["Dropped", "Since start"];
         header.extend(before.as_ref().map(|_| "A second"));
         header.push("What it means, what to do");
-        let mut table = plain(header, &rows.collect::<Vec<_>>());
+        let mut table = table(header, &rows.collect::<Vec<_>>());
         if let Some(width) = self.width {
             table.set_content_arrangement(ContentArrangement::Dynamic).set_width(width);
         }
@@ -154,23 +154,8 @@ impl Layout {
         header: [&str; COLUMNS],
         rows: &[[String; COLUMNS]],
     ) -> String {
-        plain(header, rows).to_string()
+        table(header, rows).to_string()
     }
-}
-
-fn plain<Row>(header: impl Into<comfy_table::Row>, rows: &[Row]) -> Table
-where
-    Row: AsRef<[String]> + Clone + Into<comfy_table::Row>,
-{
-    let mut table = Table::new();
-    table.load_preset(presets::ASCII_MARKDOWN).set_header(header).add_rows(rows.to_vec());
-    let is_figure = |text: &String| text == "–" || text.starts_with(|c: char| c.is_ascii_digit());
-    for (index, column) in table.column_iter_mut().enumerate() {
-        if rows.iter().all(|row| is_figure(&row.as_ref()[index])) {
-            column.set_cell_alignment(CellAlignment::Right);
-        }
-    }
-    table
 }
 
 fn net_header(rates: bool) -> [&'static str; 9] {
@@ -267,15 +252,6 @@ fn rate(ago: Duration, now: u64, before: u64) -> String {
     format!("{:.1}", now.saturating_sub(before) as f64 / ago.as_secs_f64())
 }
 
-/// A time with two digits, since the relay gives no more.
-fn duration(seconds: Option<f64>) -> String {
-    let Some(seconds) = seconds else { return "–".to_owned() };
-    let (figure, unit) = if seconds < 1.0 { (seconds * 1e3, "ms") } else { (seconds, "s") };
-    let before_the_point = figure.max(1e-9).log10().floor();
-    let decimals = (1.0 - before_the_point).clamp(0.0, 3.0) as usize;
-    format!("{figure:.decimals$} {unit}")
-}
-
 /// A time rounded to its largest unit.
 fn age(seconds: f64) -> String {
     let unit = [("d", 86_400.0), ("h", 3_600.0), ("min", 60.0)];
@@ -301,25 +277,4 @@ fn not_successful(reload: &Reload, in_force: &str) -> Vec<String> {
     let item = |NotInForce { what, why }: &NotInForce| format!("  not in force: {what}: {why}");
     lines.extend(reload.not_in_force.iter().map(item));
     lines
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn times_have_the_two_digits_that_are_true() {
-        assert_eq!(duration(None), "–");
-        for (seconds, text) in [
-            (0.000_053, "0.053 ms"),
-            (0.0052, "5.2 ms"),
-            (0.027, "27 ms"),
-            (0.82, "820 ms"),
-            (1.0, "1.0 s"),
-            (3.1, "3.1 s"),
-            (62.0, "62 s"),
-        ] {
-            assert_eq!(duration(Some(seconds)), text);
-        }
-    }
 }
