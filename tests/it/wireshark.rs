@@ -179,7 +179,10 @@ fn decoded(capture: &str) -> Vec<Map<String, Value>> {
     let arguments = ["decode", capture, "--ports", PORTS[2], "--format", "json"];
     let mut process = Process::start(pnet_nat(&arguments));
     assert_eq!(process.end(), Some(0), "{}", process.stderr());
-    process.stdout().lines().map(|line| serde_json::from_str(line).unwrap()).collect()
+    let lines = process.stdout();
+    let lines = lines.lines().map(|line| serde_json::from_str::<Map<_, _>>(line).unwrap());
+    // Beside datagrams there are requests without an answer, and the summary.
+    lines.filter(|line| line.contains_key("packet")).collect()
 }
 
 /// A field of the datagrams of a packet as tshark prints it: with commas, nothing for what is not

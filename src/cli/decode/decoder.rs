@@ -3,36 +3,44 @@
 use std::cell::RefCell;
 use std::io::{self, Write};
 use std::net::SocketAddr;
+use std::time::SystemTime;
+
+use serde::Serialize;
 
 use super::capture::Captured;
 use super::complain;
+use super::fields::Fields;
 use super::fragments::{Broken, Fragments, Outcome, Partial};
-use super::line::{Fields, Line, Locator};
+use super::line::{Line, Locator, Reason, Unanswered};
 use super::packet::{self, Found, Udp};
-use super::ports::Ports;
+use super::pairing::{Asked, Pairing, Request};
 use super::row::{self, InRow};
+use super::settings::Settings;
+use super::stop::Stop;
+use super::summary::{Report, Summary};
 use crate::cli::output::{Format, print_json};
-use crate::pnet::wire::Header;
-
-/// What is looked at, and how it is shown.
-pub(super) struct Settings {
-    pub(super) ports: Ports,
-    pub(super) header: Header,
-    pub(super) format: Format,
-}
+use crate::pnet::wire::Datagram;
 
 /// Shows the datagrams of one input.
 pub(super) struct Decoder<'a, W> {
     settings: Settings,
     output: &'a RefCell<W>,
     fragments: Fragments,
-    shown: u64,
+    pairing: Pairing,
+    summary: Summary,
     unknown_link: Option<i32>,
 }
 
 impl<'a, W: Write> Decoder<'a, W> {
     pub(super) fn new(settings: Settings, output: &'a RefCell<W>) -> Self {
-        Self { settings, output, fragments: Fragments::default(), shown: 0, unknown_link: None }
+        Self {
+            settings,
+            output,
+            fragments: Fragments::default(),
+            pairing: Pairing::default(),
+            summary: Summary::default(),
+            unknown_link: None,
+        }
     }
 
     /// Shows a datagram that was written as text.
@@ -45,6 +53,9 @@ impl<'a, W: Write> Decoder<'a, W> {
         let &Captured { number, time, link, octets } = captured;
         while let Some(partial) = self.fragments.overdue(time) {
             self.broken(&partial, Broken::Missing)?;
+        }
+        while let Some(request) = self.pairing.overdue(time) {
+            self.unanswered(&request, Reason::Time)?;
         }
         match packet::find(link, octets) {
             Ok(Some(Found::Datagram(udp))) => self.udp(captured, &udp, None),
@@ -70,11 +81,16 @@ impl<'a, W: Write> Decoder<'a, W> {
         &mut self,
         captured: &Captured<'_>,
         udp: &Udp<'_>,
-        fragments: Option<usize>,
+        fragments: Option<u64>,
     ) -> io::Result<()> {
         let &Udp { from, to, octets, length } = udp;
         if !self.is_wanted(from, to) {
-            return Ok(());
+            // It may still be an answer from another port than was asked.
+            let Ok(datagram) = Datagram::parse(octets, self.settings.header) else { return Ok(()) };
+            let (packet, time) = (captured.number, captured.time);
+            if self.pairing.answer(&datagram, packet, time, [from, to]).is_none() {
+                return Ok(());
+            }
         }
         let at = Locator::Capture { packet: captured.number, time: captured.time, from, to };
         self.payload(Place { at, fragments }, octets, length)
@@ -82,24 +98,41 @@ impl<'a, W: Write> Decoder<'a, W> {
 
     /// Names a datagram that was not put together.
     fn broken(&mut self, partial: &Partial, why: Broken) -> io::Result<()> {
-        let Some(head) = partial.head.filter(|head| self.is_wanted(head.from, head.to)) else {
+        let Some(head) = partial.head else {
+            self.summary.lost_fragments += partial.fragments;
             return Ok(());
         };
+        if !self.is_wanted(head.from, head.to) {
+            return Ok(());
+        }
         let Partial { packet, time, .. } = *partial;
         let at = Locator::Capture { packet, time, from: head.from, to: head.to };
-        let fields = Fields::of_broken(head, why);
-        self.print(&Line { place: at, fragments: None, in_row: None, fields })
+        self.datagram(Place { at, fragments: None }, None, Fields::of_broken(head, why))
     }
 
     fn is_wanted(&self, from: SocketAddr, to: SocketAddr) -> bool {
-        let ports = &self.settings.ports;
-        ports.contains(to.port()) || ports.contains(from.port())
+        self.is_server(to) || self.is_server(from)
     }
 
-    /// Shows what was still open, and says what was left out of a capture.
-    pub(super) fn finish(mut self) -> io::Result<()> {
+    fn is_server(&self, address: SocketAddr) -> bool {
+        self.settings.ports.contains(address.port())
+    }
+
+    /// Shows what was still open at the end of a capture, then the summary, and says what was left out.
+    pub(super) fn finish(mut self, stop: &Stop) -> io::Result<()> {
         while let Some(partial) = self.fragments.next() {
             self.broken(&partial, Broken::Missing)?;
+        }
+        while let Some(request) = self.pairing.next() {
+            self.unanswered(&request, Reason::End)?;
+        }
+        if self.summary.datagrams > 0 {
+            let report = self.summary.report(stop.has_come(), |server| self.settings.name(server));
+            let mut output = self.output.borrow_mut();
+            match self.settings.format {
+                Format::Text => write!(output, "{report}")?,
+                Format::Json => print_json(&InJson::Summary(&report), &mut *output)?,
+            }
         }
         if let Some(link) = self.unknown_link {
             complain(format_args!(
@@ -107,7 +140,7 @@ impl<'a, W: Write> Decoder<'a, W> {
                  loopback are read"
             ));
         }
-        if self.shown == 0 {
+        if self.summary.datagrams == 0 {
             complain("no datagram on these ports; --ports adds others");
         }
         Ok(())
@@ -116,32 +149,94 @@ impl<'a, W: Write> Decoder<'a, W> {
     /// A payload of `length` octets: one datagram, or a row of them.
     fn payload(&mut self, place: Place, octets: &[u8], length: usize) -> io::Result<()> {
         let header = self.settings.header;
-        let Place { at, fragments } = place;
         let row = row::datagrams(octets, header).filter(|_| octets.len() == length);
         let Some(row) = row else {
-            let fields = Fields::of(octets, length, header);
-            return self.print(&Line { place: at, fragments, in_row: None, fields });
+            return self.datagram(place, None, Fields::of(octets, length, header));
         };
         let datagrams = row.len();
         (1..).zip(row).try_for_each(|(datagram, octets)| {
             let in_row = Some(InRow { datagram, datagrams });
-            let fields = Fields::of(octets, octets.len(), header);
-            self.print(&Line { place: at, fragments, in_row, fields })
+            self.datagram(place, in_row, Fields::of(octets, octets.len(), header))
         })
     }
 
-    fn print(&mut self, line: &Line<'_>) -> io::Result<()> {
-        self.shown += 1;
+    fn datagram(
+        &mut self,
+        Place { at, fragments }: Place,
+        in_row: Option<InRow>,
+        fields: Fields<'_>,
+    ) -> io::Result<()> {
+        let mut asked = None;
+        if let Locator::Capture { packet, time, from, to } = at {
+            self.summary.datagrams += 1;
+            match fields.datagram() {
+                Some(datagram) => asked = self.pair(datagram, packet, time, [from, to])?,
+                None => self.summary.malformed(if self.is_server(to) { to } else { from }),
+            }
+        }
+        let answer = asked.map(Into::into);
+        let line = Line { place: at, fragments, in_row, fields, answer };
         let mut output = self.output.borrow_mut();
         match self.settings.format {
-            Format::Text => writeln!(output, "{line}"),
-            Format::Json => print_json(line, &mut *output),
+            Format::Text if self.settings.is_verbose => line.write_tree(&mut *output),
+            Format::Text => line.write_text(&mut *output),
+            Format::Json => print_json(&line, &mut *output),
+        }
+    }
+
+    /// The request that a datagram answers, if it answers one. A request itself is noted.
+    fn pair(
+        &mut self,
+        datagram: &Datagram<'_>,
+        packet: u64,
+        time: Option<SystemTime>,
+        ends: [SocketAddr; 2],
+    ) -> io::Result<Option<Asked>> {
+        let [is_from_server, is_to_server] = ends.map(|end| self.is_server(end));
+        let request = Request::of(datagram, packet, time, ends);
+        // Two nodes may ask each other from port to port, so there a request is never an answer.
+        if request.is_none() || !is_to_server {
+            let asked = self.pairing.answer(datagram, packet, time, ends);
+            if let Some(asked) = asked {
+                self.summary.answer(&asked);
+                return Ok(Some(asked));
+            }
+        }
+        match request {
+            Some(request) => {
+                self.summary.request(&request);
+                if let Some(evicted) = self.pairing.ask(request) {
+                    self.unanswered(&evicted, Reason::Room)?;
+                }
+            }
+            None if is_from_server && !is_to_server => self.summary.unasked += 1,
+            None => {}
+        }
+        Ok(None)
+    }
+
+    fn unanswered(&mut self, request: &Request, reason: Reason) -> io::Result<()> {
+        self.summary.unanswered(request);
+        let unanswered = Unanswered::new(request, reason);
+        let mut output = self.output.borrow_mut();
+        match self.settings.format {
+            Format::Text => writeln!(output, "{unanswered}"),
+            Format::Json => print_json(&InJson::Unanswered(&unanswered), &mut *output),
         }
     }
 }
 
 /// Where a payload was found, and how many fragments it came in, if it did.
+#[derive(Clone, Copy)]
 struct Place {
     at: Locator,
-    fragments: Option<usize>,
+    fragments: Option<u64>,
+}
+
+/// What stands in JSON beside datagrams: an object of one field, which is its kind.
+#[derive(Serialize)]
+#[serde(rename_all = "snake_case")]
+enum InJson<'a> {
+    Unanswered(&'a Unanswered),
+    Summary(&'a Report<'a>),
 }

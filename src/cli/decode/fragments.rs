@@ -64,7 +64,7 @@ pub(super) enum Outcome {
 pub(super) struct Whole {
     identity: Identity,
     octets: Vec<u8>,
-    pub(super) fragments: usize,
+    pub(super) fragments: u64,
 }
 
 impl Whole {
@@ -84,7 +84,7 @@ pub(super) struct Partial {
     pub(super) time: Option<SystemTime>,
     /// What the first fragment says of the datagram, once it is there.
     pub(super) head: Option<Head>,
-    fragments: usize,
+    pub(super) fragments: u64,
     buffer: IpDefragBuf,
 }
 

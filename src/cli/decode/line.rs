@@ -1,22 +1,16 @@
-//! A datagram as it is printed. The JSON has the field names of the Wireshark dissector without `pnet.`;
-//! a test compares the two.
-//!
-//! Invariant: of the octets only the decoded fields are shown, and of the password only whether there is
-//! one. Nothing here allocates: there may be millions of datagrams.
+//! What is printed: a datagram and where it was found, or a request that got no answer. The JSON has the
+//! field names of the Wireshark dissector without `pnet.`; a test compares the two.
 
 use std::fmt::{self, Display};
+use std::io::{self, Write};
 use std::net::SocketAddr;
 use std::time::SystemTime;
 
 use serde::{Serialize, Serializer};
 
-use super::fragments::{Broken, Head};
+use super::fields::{Fields, Tree};
+use super::pairing::{Asked, PATIENCE, Request};
 use super::row::InRow;
-use crate::cli::output::{Dotted, Hex};
-use crate::pnet::wire::{
-    BNA, Datagram, DatagramError, DatagramRepr, DlpduType, Elements, Header, Route, RouteFormat,
-    SNA,
-};
 
 /// A datagram and where it was found.
 #[derive(Debug, Serialize)]
@@ -25,12 +19,15 @@ pub(super) struct Line<'a> {
     pub(super) place: Locator,
     /// How many IP fragments it came in, if it did.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub(super) fragments: Option<usize>,
+    pub(super) fragments: Option<u64>,
     /// Only where it is one of several in a payload.
     #[serde(flatten)]
     pub(super) in_row: Option<InRow>,
     #[serde(flatten)]
     pub(super) fields: Fields<'a>,
+    /// The request that it answers, if that is in the capture.
+    #[serde(flatten)]
+    pub(super) answer: Option<Answer>,
 }
 
 /// Where a datagram was found.
@@ -49,165 +46,88 @@ pub(super) enum Locator {
     },
 }
 
-/// What a datagram says, as far as it can be read.
-#[derive(Debug, Serialize)]
-pub(super) struct Fields<'a> {
-    length: usize,
-    #[serde(flatten)]
-    route: Option<RouteFields<'a>>,
-    #[serde(flatten)]
-    rest: Option<Rest<'a>>,
-    #[serde(flatten)]
-    fault: Option<Fault>,
-}
-
-/// Header and route: what comes before the control-status.
-#[derive(Debug, Serialize)]
-struct RouteFields<'a> {
-    #[serde(serialize_with = "text")]
-    header: Header,
-    #[serde(serialize_with = "text")]
-    route: Hex<'a>,
-    route_format: &'static str,
+/// An answer, seen from its request.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub(super) struct Answer {
+    answer_to: u64,
     #[serde(skip_serializing_if = "Option::is_none")]
-    remaining_route_length: Option<u8>,
-    #[serde(serialize_with = "list")]
-    destinations: Elements,
-    #[serde(serialize_with = "list")]
-    sources: Elements,
+    response_time_seconds: Option<f64>,
+    /// Only where it is another one than the answer comes from.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    asked_port: Option<u16>,
+}
+
+impl From<Asked> for Answer {
+    fn from(asked: Asked) -> Self {
+        Self {
+            answer_to: asked.packet,
+            response_time_seconds: asked.elapsed.map(|elapsed| elapsed.as_secs_f64()),
+            asked_port: asked.from_another_port.then_some(asked.server.port()),
+        }
+    }
+}
+
+/// A request without an answer.
+#[derive(Debug, Serialize)]
+pub(super) struct Unanswered {
     #[serde(flatten)]
-    ip: Option<IpRoute>,
-}
-
-/// The roles of elements in a route of Extended or IP format (R-25).
-#[derive(Debug, Serialize)]
-struct IpRoute {
-    ip_net_id: u8,
+    place: Locator,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    ip_net_id: Option<u8>,
     node_address: u8,
-    source_ip_net_id: u8,
-    source_node_address: u8,
+    reason: Reason,
 }
 
-/// What comes after the route.
-#[derive(Debug, Serialize)]
-struct Rest<'a> {
-    #[serde(serialize_with = "dlpdu_type", skip_serializing_if = "Option::is_none")]
-    dlpdu_type: Option<DlpduType>,
-    control_status: u8,
-    data_field_format: u8,
-    data_field_flags: u8,
-    data_size: usize,
-    #[serde(serialize_with = "text")]
-    data: Hex<'a>,
-    password: &'static str,
+/// Why no answer is waited for any more.
+#[derive(Clone, Copy, Debug, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub(super) enum Reason {
+    /// None came in time.
+    Time,
+    /// The capture ended.
+    End,
+    /// Too many requests were open.
+    Room,
 }
 
-/// Why it is not a datagram, and the first octet that is wrong.
-#[derive(Debug, Serialize)]
-struct Fault {
-    #[serde(serialize_with = "text")]
-    error: Error,
-    error_offset: usize,
-}
-
-#[derive(Debug, thiserror::Error)]
-enum Error {
-    #[error("only {captured} of its {length} octets were captured")]
-    Cut { captured: usize, length: usize },
-    #[error(transparent)]
-    Malformed(#[from] DatagramError),
-    #[error(transparent)]
-    Broken(#[from] Broken),
-}
-
-impl<'a> Fields<'a> {
-    /// Those of a datagram whose fragments were not put together. Nothing but its length is certain.
-    pub(super) fn of_broken(head: Head, why: Broken) -> Self {
-        let fault = Some(Fault { error: why.into(), error_offset: head.captured });
-        Self { length: head.length, route: None, rest: None, fault }
-    }
-
-    /// Reads what was captured of a datagram of `length` octets.
-    pub(super) fn of(octets: &'a [u8], length: usize, header: Header) -> Self {
-        let captured = octets.len();
-        if captured < length {
-            let fault =
-                Some(Fault { error: Error::Cut { captured, length }, error_offset: captured });
-            return Self { length, route: None, rest: None, fault };
-        }
-        match Datagram::parse(octets, header) {
-            Ok(datagram) => {
-                let route = Some(RouteFields::of(header, datagram.route()));
-                Self { length, route, rest: Some(Rest::of(&datagram)), fault: None }
-            }
-            Err(error) => {
-                // If only the length is wrong, the route can be shown.
-                let package = octets.get(Header::LEN..).unwrap_or_default();
-                let route =
-                    Route::parse(package).ok().filter(|_| error == DatagramError::BadLength);
-                let error_offset = error.position(octets, header);
-                Self {
-                    length,
-                    route: route.map(|route| RouteFields::of(header, route)),
-                    rest: None,
-                    fault: Some(Fault { error: error.into(), error_offset }),
-                }
-            }
-        }
+impl Unanswered {
+    pub(super) fn new(request: &Request, reason: Reason) -> Self {
+        let &Request { packet, time, client, server, ip_net_id, node_address, .. } = request;
+        let place = Locator::Capture { packet, time, from: client, to: server };
+        Self { place, ip_net_id, node_address, reason }
     }
 }
 
-impl<'a> RouteFields<'a> {
-    fn of(header: Header, route: Route<'a>) -> Self {
-        let sources: Elements = route.sources().collect();
-        let ip = match (route.ip_net_id(), route.node_address(), &sources[..]) {
-            (Some(ip_net_id), Some(node_address), &[source_ip_net_id, source_node_address, ..]) => {
-                Some(IpRoute { ip_net_id, node_address, source_ip_net_id, source_node_address })
-            }
-            _ => None,
-        };
-        Self {
-            header,
-            route: Hex(route.as_bytes()),
-            route_format: match route.format() {
-                RouteFormat::Simple => "simple",
-                RouteFormat::Extended => "extended",
-                RouteFormat::Complex => "complex",
-                RouteFormat::Immediate => "immediate",
-                RouteFormat::Ip => "ip",
-            },
-            remaining_route_length: route.remaining_route_length(),
-            destinations: route.destinations().collect(),
-            sources,
-            ip,
+impl Line<'_> {
+    /// With a line for each field.
+    pub(super) fn write_tree(&self, output: &mut impl Write) -> io::Result<()> {
+        self.place_in_words(output)?;
+        write!(output, "{}", Tree(&self.fields))?;
+        match &self.answer {
+            Some(answer) => writeln!(output, "    {answer}"),
+            None => Ok(()),
         }
     }
-}
 
-impl<'a> Rest<'a> {
-    fn of(datagram: &Datagram<'a>) -> Self {
-        Self {
-            dlpdu_type: datagram.dlpdu_type(),
-            control_status: datagram.control_status(),
-            data_field_format: datagram.data_field_format(),
-            data_field_flags: DatagramRepr::parse(datagram).data_field_flags,
-            data_size: datagram.data_octets().len(),
-            data: Hex(datagram.data_octets()),
-            password: if datagram.password().is_some() { "present" } else { "absent" },
+    /// On one line.
+    pub(super) fn write_text(&self, output: &mut impl Write) -> io::Result<()> {
+        self.place_in_words(output)?;
+        write!(output, "{}", self.fields)?;
+        match &self.answer {
+            Some(answer) => writeln!(output, "; {answer}"),
+            None => writeln!(output),
         }
     }
-}
 
-impl Display for Line<'_> {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}: ", self.place)?;
+    fn place_in_words(&self, output: &mut impl Write) -> io::Result<()> {
+        write!(output, "{}: ", self.place)?;
         if let Some(fragments) = self.fragments {
-            write!(f, "of {fragments} fragments: ")?;
+            write!(output, "of {fragments} fragments: ")?;
         }
-        if let Some(in_row) = self.in_row {
-            write!(f, "{in_row}: ")?;
+        match self.in_row {
+            Some(in_row) => write!(output, "{in_row}: "),
+            None => Ok(()),
         }
-        self.fields.fmt(f)
     }
 }
 
@@ -226,84 +146,31 @@ impl Display for Locator {
     }
 }
 
-impl Display for Fields<'_> {
+impl Display for Answer {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        if let Some(Fault { error, error_offset }) = &self.fault {
-            write!(f, "malformed at octet {error_offset} of {}: {error}", self.length)?;
-        } else if let Some(rest) = &self.rest {
-            f.write_str(rest.type_in_words())?;
+        write!(f, "answer to packet {}", self.answer_to)?;
+        if let Some(asked_port) = self.asked_port {
+            write!(f, " from another port than {asked_port}")?;
         }
-        if let Some(route) = &self.route {
-            write!(f, "; {route}")?;
-        }
-        if let Some(rest) = &self.rest {
-            let Rest { control_status, data_field_format, data, password, .. } = rest;
-            write!(
-                f,
-                "; control-status ${control_status:02X}, data-field-format \
-                 ${data_field_format:02X}, data "
-            )?;
-            if data.0.is_empty() {
-                f.write_str("none")?;
-            }
-            write!(f, "{data}, password {password}")?;
-        }
-        Ok(())
-    }
-}
-
-impl Rest<'_> {
-    fn type_in_words(&self) -> &'static str {
-        match self.dlpdu_type {
-            Some(DlpduType::Confirmed) => "confirmed",
-            Some(DlpduType::Unconfirmed) => "unconfirmed",
-            Some(DlpduType::ImmediateReply) => "immediate reply",
-            Some(DlpduType::Acknowledge) => "acknowledge",
-            None => "of no DLPDU type",
+        match self.response_time_seconds {
+            Some(seconds) => write!(f, ", +{:.3} ms", seconds * 1e3),
+            None => Ok(()),
         }
     }
 }
 
-impl Display for RouteFields<'_> {
+impl Display for Unanswered {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{} route to {}", self.route_format, self.destination())?;
-        f.write_str(if self.ip.is_some() { ", from " } else { " from " })?;
-        self.source().fmt(f)
-    }
-}
-
-impl RouteFields<'_> {
-    fn destination(&self) -> End<'_> {
-        let ip = self.ip.as_ref().map(|ip| [ip.ip_net_id, ip.node_address]);
-        End { ip, elements: &self.destinations }
-    }
-
-    fn source(&self) -> End<'_> {
-        let ip = self.ip.as_ref().map(|ip| [ip.source_ip_net_id, ip.source_node_address]);
-        End { ip, elements: &self.sources }
-    }
-}
-
-/// One end of a route: over IP its net, its node, and the elements after these two.
-struct End<'a> {
-    ip: Option<[u8; 2]>,
-    elements: &'a [u8],
-}
-
-impl Display for End<'_> {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Some([ip_net_id, node_address]) = self.ip else {
-            return Dotted(self.elements).fmt(f);
-        };
-        write!(f, "net {ip_net_id} node {node_address}")?;
-        f.write_str(match node_address {
-            BNA => " (every node)",
-            SNA => " (service)",
-            _ => "",
-        })?;
-        match self.elements.get(2..) {
-            None | Some([]) => Ok(()),
-            Some(beyond) => write!(f, ", on to {}", Dotted(beyond)),
+        let Self { place, ip_net_id, node_address, reason } = self;
+        write!(f, "{place}: unanswered request to ")?;
+        if let Some(ip_net_id) = ip_net_id {
+            write!(f, "net {ip_net_id} ")?;
+        }
+        write!(f, "node {node_address}, ")?;
+        match reason {
+            Reason::Time => write!(f, "no answer within {} s", PATIENCE.as_secs()),
+            Reason::End => f.write_str("the capture ended"),
+            Reason::Room => f.write_str("given up because too many requests are open"),
         }
     }
 }
@@ -315,28 +182,12 @@ fn rfc3339<S: Serializer>(time: &Option<SystemTime>, serializer: S) -> Result<S:
     }
 }
 
-fn dlpdu_type<S: Serializer>(value: &Option<DlpduType>, serializer: S) -> Result<S::Ok, S::Error> {
-    value
-        .map(|dlpdu_type| match dlpdu_type {
-            DlpduType::Confirmed => "confirmed",
-            DlpduType::Unconfirmed => "unconfirmed",
-            DlpduType::ImmediateReply => "immediate_reply",
-            DlpduType::Acknowledge => "acknowledge",
-        })
-        .serialize(serializer)
-}
-
-fn text<S: Serializer>(value: &impl Display, serializer: S) -> Result<S::Ok, S::Error> {
-    serializer.collect_str(value)
-}
-
-fn list<S: Serializer>(elements: &Elements, serializer: S) -> Result<S::Ok, S::Error> {
-    serializer.collect_seq(elements)
-}
-
 #[cfg(test)]
 mod tests {
+    use std::time::Duration;
+
     use super::*;
+    use crate::pnet::wire::Header;
 
     /// PAS Figure 10 as a request to the Secure port.
     const FIGURE_10: &[u8] =
@@ -344,13 +195,25 @@ mod tests {
 
     fn line(octets: &[u8], length: usize) -> Line<'_> {
         let fields = Fields::of(octets, length, Header::default());
-        Line { place: Locator::Text { line: 7 }, fragments: None, in_row: None, fields }
+        Line {
+            place: Locator::Text { line: 7 },
+            fragments: None,
+            in_row: None,
+            fields,
+            answer: None,
+        }
+    }
+
+    fn text(line: &Line<'_>) -> String {
+        let mut text = Vec::new();
+        line.write_text(&mut text).unwrap();
+        String::from_utf8(text).unwrap().trim_end().to_owned()
     }
 
     #[track_caller]
-    fn shows(octets: &[u8], text: &str) {
+    fn shows(octets: &[u8], right: &str) {
         let line = line(octets, octets.len());
-        assert_eq!(line.to_string(), format!("line 7: {text}"));
+        assert_eq!(text(&line), format!("line 7: {right}"));
     }
 
     #[test]
@@ -394,9 +257,42 @@ mod tests {
              data-field-format; ip route to net 11 node 4, on to 2.33, from net 11 node 3, on to 31",
         );
         assert_eq!(
-            line(&FIGURE_10[..20], 25).to_string(),
+            text(&line(&FIGURE_10[..20], 25)),
             "line 7: malformed at octet 20 of 25: only 20 of its 25 octets were captured"
         );
+    }
+
+    #[test]
+    fn an_answer_has_its_request_and_the_time_since_then() {
+        let mut line = line(b"\x02\0\0\0\x04\x83\0\0", 8);
+        let asked = Asked {
+            packet: 17,
+            elapsed: Some(Duration::from_nanos(1_234_499)),
+            server: "203.0.113.5:40004".parse().unwrap(),
+            from_another_port: true,
+        };
+        for (asked, words, json) in [
+            (
+                asked,
+                "; answer to packet 17 from another port than 40004, +1.234 ms",
+                r#","answer_to":17,"response_time_seconds":0.001234499,"asked_port":40004}"#,
+            ),
+            (
+                Asked { from_another_port: false, ..asked },
+                "; answer to packet 17, +1.234 ms",
+                r#","answer_to":17,"response_time_seconds":0.001234499}"#,
+            ),
+            (
+                Asked { from_another_port: false, elapsed: None, ..asked },
+                "; answer to packet 17",
+                r#","answer_to":17}"#,
+            ),
+        ] {
+            line.answer = Some(asked.into());
+            let text = text(&line);
+            assert!(text.ends_with(&format!("password absent{words}")), "{text}");
+            assert!(serde_json::to_string(&line).unwrap().ends_with(json));
+        }
     }
 
     #[test]
@@ -407,7 +303,10 @@ mod tests {
         for octets in [FIGURE_10, &behind, &header, &route, &FIGURE_10[..24], &FIGURE_10[17..]] {
             let line = line(octets, octets.len());
             let json = serde_json::to_string(&line).unwrap();
-            for shown in [line.to_string(), json, format!("{line:?}")] {
+            let mut tree = Vec::new();
+            line.write_tree(&mut tree).unwrap();
+            let tree = String::from_utf8(tree).unwrap();
+            for shown in [text(&line), tree, json, format!("{line:?}")] {
                 assert!(!shown.contains("PNET") && !shown.contains("504e"), "{shown}");
             }
         }

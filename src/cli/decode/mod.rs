@@ -2,20 +2,25 @@
 //!
 //! `input` is the stream, `capture` reads pcap and pcapng, `packet` finds the UDP payload in a packet,
 //! `fragments` puts it together, `hex` reads text, `row` splits a packet that the kernel would have split
-//! later, `decoder` joins them, and `line` is what is printed. Invariants: no password is ever printed, and memory has a bound, whatever the
+//! later. `pairing` joins answers with their requests. `decoder` calls them all; what it prints is in
+//! `line`, `fields` and `summary`. Invariants: no password is ever printed, and memory has a bound, whatever the
 //! input holds.
 
 mod capture;
 mod decoder;
+mod fields;
 mod fragments;
 mod hex;
 mod input;
 mod line;
 mod packet;
+mod pairing;
 mod ports;
 mod progress;
 mod row;
+mod settings;
 mod stop;
+mod summary;
 
 use std::cell::RefCell;
 use std::io::{BufRead, BufReader, BufWriter, Cursor, Read, Write};
@@ -23,13 +28,15 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use anyhow::Context;
+use clap::builder::BoolishValueParser;
 
 use super::complain;
 use super::output::{Format, out};
 use crate::pnet::wire::Header;
-use decoder::{Decoder, Settings};
+use decoder::Decoder;
 use input::Input;
-use ports::{PortRange, Ports};
+use ports::PortRange;
+use settings::Settings;
 use stop::Stop;
 
 /// Octets that are read, and written, at once.
@@ -42,6 +49,9 @@ const BUFFER: usize = 1 << 18;
     Hex text has one datagram a line: 02000000 04830000. Spaces and colons between octets are\n\
     ignored, and so is everything after #. A capture on the router itself can show a burst as one\n\
     packet, because the kernel splits it later: then each datagram has a line, marked like 1 of 11.\n\
+    Datagrams in IP fragments are put together. In a capture, an answer shows its request and the time\n\
+    since then. A request without an answer has a line of its own after 10 s of the capture, or at its\n\
+    end. Then comes a summary. Ctrl-C ends a capture like its end.\n\
     Exit code 1: the input cannot be read to its end.")]
 pub(super) struct Args {
     /// Hex text, pcap or pcapng; - is the standard input.
@@ -52,26 +62,34 @@ pub(super) struct Args {
     #[arg(long, value_name = "PORT[-LAST]", value_delimiter = ',', env = "PNET_NAT_PORTS")]
     ports: Vec<PortRange>,
 
-    /// The four octets that every datagram begins with.
-    #[arg(long, value_name = "OCTETS", default_value_t, env = "PNET_NAT_HEADER")]
-    header: Header,
+    /// A configuration of the relay: its public ports, the ports of its servers and its header are taken
+    /// from there, and the summary has the names of its nets.
+    #[arg(long, value_name = "FILE", env = "PNET_NAT_CONFIG")]
+    config: Option<PathBuf>,
+
+    /// The four octets that every datagram begins with [default: that of --config, otherwise 02000000].
+    #[arg(long, value_name = "OCTETS", env = "PNET_NAT_HEADER")]
+    header: Option<Header>,
 
     /// Output: text for people, or one JSON object a line.
     #[arg(long, value_enum, default_value_t = Format::Text, env = "PNET_NAT_FORMAT")]
     format: Format,
+
+    /// Show each datagram as a tree, with a line for each field. JSON has all fields in any case.
+    #[arg(short, long, env = "PNET_NAT_VERBOSE", value_parser = BoolishValueParser::new())]
+    verbose: bool,
 }
 
 /// Shows all datagrams of the input.
 pub(super) fn run(args: Args) -> anyhow::Result<ExitCode> {
+    let settings = match Settings::new(&args) {
+        Ok(settings) => settings,
+        Err(code) => return Ok(code),
+    };
     let (file, name) = input::open(&args.file)?;
     let stop = Stop::at_signals()?;
     let output = RefCell::new(BufWriter::with_capacity(BUFFER, out()));
     let input = BufReader::with_capacity(BUFFER, Input::new(file, &output, stop.clone()));
-    let settings = Settings {
-        ports: Ports::of_p_net_and(&args.ports),
-        header: args.header,
-        format: args.format,
-    };
     decode(input, Decoder::new(settings, &output), &stop).context(name)?;
     output.into_inner().flush()?;
     Ok(ExitCode::SUCCESS)
@@ -94,5 +112,5 @@ fn decode(
     if !stop.has_come() {
         read?;
     }
-    Ok(decoder.finish()?)
+    Ok(decoder.finish(stop)?)
 }

@@ -30,7 +30,7 @@ fn pieces<'a>(datagram: &'a [u8], cuts: &[usize]) -> Vec<Fragment<'a>> {
 }
 
 /// The payload and its number of fragments, once these make it whole.
-fn joined(fragments: &mut Fragments, pieces: &[Fragment<'_>]) -> Option<(Vec<u8>, usize)> {
+fn joined(fragments: &mut Fragments, pieces: &[Fragment<'_>]) -> Option<(Vec<u8>, u64)> {
     pieces.iter().zip(1..).find_map(|(piece, packet)| match fragments.add(packet, None, piece) {
         Outcome::Whole(whole) => {
             let udp = whole.udp().unwrap();
