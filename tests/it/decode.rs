@@ -5,6 +5,7 @@ use std::io::Write;
 use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
 use std::process::Command;
+use std::time::{Duration, Instant};
 
 use nix::sys::signal::Signal;
 use nix::sys::stat::Mode;
@@ -12,8 +13,8 @@ use nix::unistd::mkfifo;
 use serde_json::{Value, json};
 
 use crate::harness::{
-    FIGURE_10, PASSWORD, Process, datagram, eventually, frame, header, pcap, pnet_nat, request,
-    response, udp,
+    FIGURE_10, PASSWORD, Process, Terminal, datagram, eventually, frame, header, pcap, pnet_nat,
+    request, response, udp,
 };
 
 fn decode(file: &Path, arguments: &[&str]) -> Process {
@@ -173,6 +174,18 @@ fn the_page_shows_what_is_printed() {
     });
     assert_eq!((shell.end(), &shell.stderr()[..]), (Some(0), ""));
     assert_eq!(shell.stdout(), printed.split("```").next().unwrap());
+}
+
+#[test]
+fn the_page_shows_a_capture_as_it_is_printed() {
+    let page = include_str!("../../docs/troubleshooting.md");
+    let (_, section) = page.split_once("### Captures").unwrap();
+    let (_, printed) = section.split_once("```text\n").unwrap();
+    let [answered, silent] = [4, 5].map(|node| udp(40000 + u16::from(node), &request(node)));
+    let answer = back(&answered, &response(4));
+    let capture = at([(0, &answered[..]), (1_234, &answer), (500_000, &silent)]);
+    let (text, _) = shown(&capture, &["--ports", "40001-40125"]);
+    assert_eq!(text, printed.split("```").next().unwrap());
 }
 
 #[test]
@@ -470,6 +483,36 @@ fn a_signal_ends_it_with_the_summary() {
             text.contains("Datagrams: 1, malformed: 0. Requests: 1, answered: 0, unanswered: 1.")
         );
         assert!(text.ends_with("\nA signal came before the end of the input.\n"), "{text}");
+    }
+}
+
+/// Only where the result goes somewhere else.
+#[test]
+fn a_long_read_shows_on_a_terminal_how_far_it_is() {
+    let folder = tempfile::tempdir().unwrap();
+    let pipe = folder.path().join("pipe");
+    mkfifo(&pipe, Mode::S_IRWXU).unwrap();
+    for (script, shows) in
+        [("exec \"$0\" decode \"$1\" > /dev/null", true), ("exec \"$0\" decode \"$1\"", false)]
+    {
+        let mut command = Command::new("sh");
+        command.args(["-c", script, env!("CARGO_BIN_EXE_pnet-nat")]);
+        let mut terminal = Terminal::start(command.arg(&pipe));
+        let mut writer = File::create(&pipe).unwrap();
+        writer.write_all(&header()).unwrap();
+        let packet = udp(53, b"");
+        let (frame, end) = (frame(&packet, packet.len()), Instant::now() + Duration::from_secs(3));
+        eventually("it is shown", || {
+            writer.write_all(&frame).unwrap();
+            let is_over = Instant::now() > end;
+            (terminal.text().contains("MiB/s") || !shows && is_over).then_some(())
+        });
+        assert_eq!(terminal.text().contains("MiB/s"), shows);
+        drop(writer);
+        assert_eq!(terminal.end(), Some(0));
+        let text = terminal.text();
+        let left = text.rsplit("\x1b[K").next().unwrap();
+        assert!(left.starts_with("no datagram on these ports"), "{text:?}");
     }
 }
 

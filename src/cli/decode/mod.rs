@@ -104,13 +104,17 @@ fn decode(
     input.by_ref().take(4).read_to_end(&mut beginning)?;
     let is_capture = capture::is_magic(&beginning);
     let input = Cursor::new(beginning).chain(input);
-    if !is_capture {
-        return hex::read(input, |line, octets| Ok(decoder.text(line, octets)?));
-    }
-    let read = capture::read(input, |captured| Ok(decoder.packet(&captured)?));
-    // A signal may have ended the input inside a block.
+    let read = if is_capture {
+        capture::read(input, |captured| Ok(decoder.packet(&captured)?))
+    } else {
+        hex::read(input, |line, octets| Ok(decoder.text(line, octets)?))
+    };
+    // A signal may have ended the input inside a block or a line.
     if !stop.has_come() {
         read?;
     }
-    Ok(decoder.finish(stop)?)
+    if is_capture {
+        decoder.finish(stop)?;
+    }
+    Ok(())
 }
