@@ -198,7 +198,9 @@ fn what_cannot_be_read_to_its_end_is_said_with_exit_code_1() {
     };
     let whole = pcap([(34379, &request(4)[..]), (34379, &request(5))]);
     let (code, stdout, stderr) = with(&whole[..whole.len() - 1]);
-    assert_eq!((code, stdout.lines().count()), (Some(1), 1), "{stderr}");
+    assert_eq!(code, Some(1), "{stderr}");
+    // What there was is still told.
+    assert!(stdout.contains("\nDatagrams: 1, malformed: 0. Requests: 1, "), "{stdout}");
     assert!(stderr.contains("input: the capture ends inside a block"), "{stderr}");
 
     let (code, stdout, stderr) = with(PASSWORD);

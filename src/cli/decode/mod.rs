@@ -109,12 +109,16 @@ fn decode(
     } else {
         hex::read(input, |line, octets| Ok(decoder.text(line, octets)?))
     };
+    // Of a capture that is damaged or cut off, what there was is still told.
+    if is_capture {
+        decoder.finish(stop)?;
+    }
     // A signal may have ended the input inside a block or a line.
     if !stop.has_come() {
         read?;
     }
     if is_capture {
-        decoder.finish(stop)?;
+        decoder.tell_what_was_left_out();
     }
     Ok(())
 }
