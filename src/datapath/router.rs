@@ -113,18 +113,27 @@ impl Router {
             workers.push(worker);
         }
         let active = ActiveConfig::new(config, rules, counters, drops, upstream_drops, listeners);
-        let router = Self {
+        Ok(Bound { router: Self::new(active, audit, ports, handles, started), workers })
+    }
+
+    fn new(
+        active: ActiveConfig,
+        audit: Arc<Audit>,
+        ports: Arc<Ports>,
+        workers: Vec<Handle>,
+        started: Instant,
+    ) -> Self {
+        Self {
             active: RwLock::new(Arc::new(active)),
             last_reload: Mutex::default(),
             changing: tokio::sync::Mutex::default(),
             audit,
             ports,
-            workers: handles,
+            workers,
             ends: Mutex::default(),
             ready: AtomicBool::new(false),
             started,
-        };
-        Ok(Bound { router, workers })
+        }
     }
 
     /// A router without sockets and threads, to test the code that asks a router for figures.
@@ -136,17 +145,7 @@ impl Router {
         let ports = Arc::new(Ports::new(&config));
         let rules = Rules::new(Arc::clone(&config.table), config.limits);
         let active = ActiveConfig::new(config, rules, counters, drops, Arc::default(), Vec::new());
-        Arc::new(Self {
-            active: RwLock::new(Arc::new(active)),
-            last_reload: Mutex::default(),
-            changing: tokio::sync::Mutex::default(),
-            audit,
-            ports,
-            workers: Vec::new(),
-            ends: Mutex::default(),
-            ready: AtomicBool::new(false),
-            started: Instant::now(),
-        })
+        Arc::new(Self::new(active, audit, ports, Vec::new(), Instant::now()))
     }
 
     /// Takes no more requests, waits for the answers that are due, and ends the workers. It waits
