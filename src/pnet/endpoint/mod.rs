@@ -3,7 +3,7 @@
 //! A [`Server`] judges the datagrams that come to its two ports, and makes the responses. The caller
 //! has the sockets: it hands over each datagram with its sender, and the time since any moment of
 //! its choice. What the data of a request mean is up to a [`Service`], for the standard does not say
-//! which one a control-status stands for.
+//! which one a control-status stands for. The other end is in [`client`].
 //!
 //! A server that sends the data of each request back:
 //!
@@ -30,6 +30,7 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+pub mod client;
 mod dynamic_clients;
 mod server;
 mod service;

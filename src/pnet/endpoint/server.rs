@@ -4,6 +4,7 @@ use std::net::SocketAddrV4;
 use std::time::Duration;
 
 use super::DynamicClients;
+use super::client::{ArepRole, RepRole};
 use crate::pnet::ip_net_table::{IpNetTable, Sender};
 use crate::pnet::wire::{
     BNA, Datagram, DatagramError, DatagramRepr, DlRoute, DlRouteError, Elements, EmitError, Header,
@@ -121,6 +122,16 @@ impl Server {
     /// The server's node address.
     pub fn node_address(&self) -> NodeAddress {
         self.table.node_address()
+    }
+
+    /// The role of its Route Endpoint (PAS 6.1.1.1.1.2).
+    pub fn role(&self) -> RepRole {
+        RepRole::RealContainer
+    }
+
+    /// The role of the endpoint that requests come to (PAS 6.1.1.2.1.3).
+    pub fn arep_role(&self) -> ArepRole {
+        ArepRole::Server
     }
 
     /// The clients that the table does not know, as they are now.

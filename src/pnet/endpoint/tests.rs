@@ -6,6 +6,7 @@ use std::time::Duration;
 
 use proptest::prelude::*;
 
+use super::client::{ArepRole, RepRole};
 use super::*;
 use crate::pnet::ip_net_table::{Fields, IpNetTable, Nettype};
 use crate::pnet::wire::{
@@ -242,6 +243,12 @@ fn r3_any_password_opens_the_secure_port_and_none_opens_nothing() {
     let mut closed = Server::new(table, Header::default(), Vec::new());
     let refused = judge(&mut closed, Port::Secure, STRANGER, &request(PASSWORD)).err();
     assert_eq!(refused, Some(Ignored::WrongPassword));
+}
+
+#[test]
+fn r44_a_server_holds_the_real_objects() {
+    let server = server();
+    assert_eq!((server.role(), server.arep_role()), (RepRole::RealContainer, ArepRole::Server));
 }
 
 #[test]
