@@ -15,7 +15,8 @@ use tokio::time::MissedTickBehavior;
 use super::output::{Dotted, Format, Hex, out, print_json};
 use super::password_file;
 use crate::config::NodeRange;
-use crate::peer::{Answer, Client, ExchangeError, Request, Target};
+use crate::peer::{Client, ExchangeError, Request, Target};
+use crate::pnet::endpoint::client::Response;
 use crate::pnet::wire::Password;
 
 /// Ask server nodes behind a NAT router, as a remote client does.
@@ -148,8 +149,8 @@ enum Outcome {
     },
 }
 
-impl From<&Result<(Answer, Duration), ExchangeError>> for Outcome {
-    fn from(outcome: &Result<(Answer, Duration), ExchangeError>) -> Self {
+impl From<&Result<(Response, Duration), ExchangeError>> for Outcome {
+    fn from(outcome: &Result<(Response, Duration), ExchangeError>) -> Self {
         match outcome {
             Ok((answer, round_trip)) => Self::Answered {
                 round_trip_seconds: round_trip.as_secs_f64(),

@@ -1,27 +1,19 @@
-//! A remote client. It asks the server nodes behind a NAT router, one request at a time.
+//! A remote client for one exchange at a time, with one net behind a NAT router.
 //!
-//! One UDP socket serves all nodes, as in a P-NET client, so the router sees one client endpoint
-//! . The client neither repeats nor divides a request. Invariant: a returned answer belongs
-//! to the request that was just sent, and never to an earlier one.
+//! [`ClientNode`] does the work. Invariant: a returned answer belongs to the request that was just sent,
+//! and never to an earlier one.
 
-use std::io::{self, ErrorKind, IoSliceMut};
-use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
-use std::os::fd::AsRawFd;
-use std::time::{Duration, Instant};
+use std::io;
+use std::net::{IpAddr, SocketAddr};
+use std::time::Duration;
 
-use arrayvec::ArrayVec;
-use nix::sys::socket::{MsgFlags, SockaddrStorage, recvmsg, setsockopt, sockopt};
-use tokio::net::UdpSocket;
-
-use crate::pnet::wire::{
-    Datagram, DatagramRepr, DlRoute, DlRouteError, Elements, EmitError, Header, MAX_DATA,
-    MAX_DATAGRAM, NCNA, Password,
+use super::ClientNode;
+use crate::pnet::endpoint::client::{
+    self, Arep, Attributes, DestinationRoute, EndpointId, Loss, Outcome, RequestError, Response,
+    Source, Way,
 };
-
-/// The client uses the endpoints 1 to this one in rotation. A response comes back to the endpoint
-/// that asked. So the client can tell a late answer to a request that it gave up from the answer to
-/// the next one.
-const LAST_ENDPOINT: u8 = 125;
+use crate::pnet::ip_net_table::{Destination, NotADestination};
+use crate::pnet::wire::{DlRouteError, Elements, Header, IpNetId, Password};
 
 /// A UDP Range net as its client knows it: one row of the IPNetTable (PAS 8).
 #[derive(Clone, Debug)]
@@ -35,20 +27,17 @@ pub struct Target {
     /// The header with which every datagram begins.
     pub header: Header,
     /// The IPNetID of the net: the index of its row.
-    pub ip_net_id: u8,
-    /// The IPNetID of the client's own net.
-    pub own_ip_net_id: u8,
-    /// The client's node address in its own net.
-    pub own_node_address: u8,
+    pub ip_net_id: IpNetId,
+    /// The client itself.
+    pub source: Source,
 }
 
 impl Target {
     /// The net behind this address. IPNetIDs and the client's node address are those of PAS
     /// Figure 10.
     pub fn new(address: IpAddr, start_port: u16, password: Option<Password>) -> Self {
-        let header = Header::default();
-        let (ip_net_id, own_ip_net_id, own_node_address) = (11, 11, 3);
-        Self { address, start_port, password, header, ip_net_id, own_ip_net_id, own_node_address }
+        let (header, source) = (Header::default(), Source::FIGURE_10);
+        Self { address, start_port, password, header, ip_net_id: source.ip_net_id, source }
     }
 
     /// The public address and port of a node (R-10, PAS 8 d). With a start port above 65410, the
@@ -57,29 +46,16 @@ impl Target {
         SocketAddr::new(self.address, self.start_port.wrapping_add(node_address.into()))
     }
 
-    /// Writes a request whose answer goes to this endpoint, and returns its length in octets. Fails
-    /// when the route or the data is too long.
-    pub fn emit_request(
-        &self,
-        request: &Request<'_>,
-        endpoint: u8,
-        octets: &mut [u8],
-    ) -> Result<usize, ExchangeError> {
-        let destination = [&[self.ip_net_id, request.node_address], request.beyond].concat();
-        // The client's own address comes first in the source route (R-27, PAS 5.7.1.5).
-        let route = DlRoute::new(&destination, &[endpoint])?
-            .sent_by(Some(self.own_ip_net_id), self.own_node_address)?
-            .to_route()?;
-        let request = DatagramRepr {
-            header: self.header,
-            route: route.as_route(),
-            control_status: request.control_status,
-            data_field_flags: 0,
-            data_octets: request.data_octets,
-            // R-3, PAS 7.
-            password: self.password.clone(),
-        };
-        Ok(request.emit(octets)?)
+    /// The route of a request. Fails when it names no node, and when it is too long.
+    pub fn route(&self, request: &Request<'_>) -> Result<DestinationRoute, ExchangeError> {
+        let beyond: Elements = request
+            .beyond
+            .try_into()
+            .map_err(|_| RequestError::Route(DlRouteError::TooLong(request.beyond.len())))?;
+        let address = self.socket_address(request.node_address);
+        let way = Way { address, password: self.password.clone() };
+        let node = Destination::try_from(request.node_address)?;
+        Ok(DestinationRoute { way, ip_net_id: self.ip_net_id, node, beyond })
     }
 }
 
@@ -96,87 +72,41 @@ pub struct Request<'a> {
     pub data_octets: &'a [u8],
 }
 
-/// The answer of a node.
-#[derive(Clone, Debug)]
-pub struct Answer {
-    /// The destination elements as they came. The first two may differ from those of the request
-    ///
-    pub destinations: Elements,
-    /// The source elements as they came.
-    pub sources: Elements,
-    /// The control-status.
-    pub control_status: u8,
-    /// The data.
-    pub data_octets: ArrayVec<u8, MAX_DATA>,
-}
-
 /// Why an exchange failed.
 #[derive(Debug, thiserror::Error)]
 pub enum ExchangeError {
-    /// No answer to the request came in time.
-    #[error("no answer within {}", humantime::format_duration(*waited))]
-    NoAnswer {
-        /// How long the client waited.
-        waited: Duration,
-    },
-    /// Before the time was up, the network reported that the request did not arrive.
-    #[error("{}", in_words(.0))]
-    Undelivered(io::Error),
-    /// The elements do not form a valid P-NET-route.
-    #[error("no route to the node: {0}")]
-    Route(#[from] DlRouteError),
-    /// The request does not fit into a datagram.
-    #[error("the request is too large: {0}")]
-    Emit(#[from] EmitError),
+    /// No answer to the request came in time, or the network reported that the request did not arrive.
+    #[error(transparent)]
+    Lost(#[from] Loss),
+    /// A broadcast has no answer.
+    #[error("nobody answers a broadcast")]
+    Unconfirmed,
+    /// The request has no such node.
+    #[error(transparent)]
+    Node(#[from] NotADestination),
+    /// The request does not fit into a package.
+    #[error(transparent)]
+    Request(#[from] RequestError),
     /// The system refused.
-    #[error("{to}: {reason}")]
-    Socket {
-        /// The destination of the request.
-        to: SocketAddr,
-        /// The error that the system gave.
-        reason: io::Error,
-    },
-}
-
-fn undelivered(error: io::Error) -> ExchangeError {
-    ExchangeError::Undelivered(error)
-}
-
-/// Describes the error of an ICMP message or of the system itself about a request that did not
-/// arrive.
-fn in_words(error: &io::Error) -> String {
-    match error.kind() {
-        ErrorKind::ConnectionRefused => "nothing listens there".to_owned(),
-        ErrorKind::HostUnreachable => "the host there cannot be reached".to_owned(),
-        ErrorKind::NetworkUnreachable => "there is no way to that network".to_owned(),
-        ErrorKind::PermissionDenied => "a firewall forbids it".to_owned(),
-        _ => format!("it did not arrive: {error}"),
-    }
+    #[error("the client's socket failed: {0}")]
+    Socket(#[from] io::Error),
 }
 
 /// A client with its socket.
 #[derive(Debug)]
 pub struct Client {
-    socket: UdpSocket,
     target: Target,
-    endpoint: u8,
+    node: ClientNode,
+    /// That of the last exchange. It may still wait, if nobody waited for the end of that exchange.
+    endpoint: Option<EndpointId>,
 }
 
 impl Client {
     /// Makes a client on any free port.
     pub async fn bind(target: Target) -> io::Result<Self> {
-        let any: IpAddr = match target.address {
-            IpAddr::V4(_) => Ipv4Addr::UNSPECIFIED.into(),
-            IpAddr::V6(_) => Ipv6Addr::UNSPECIFIED.into(),
-        };
-        let socket = UdpSocket::bind((any, 0)).await?;
-        // Without this option, the kernel would not report that a host or a network cannot be
-        // reached.
-        match any {
-            IpAddr::V4(_) => setsockopt(&socket, sockopt::Ipv4RecvErr, &true)?,
-            IpAddr::V6(_) => setsockopt(&socket, sockopt::Ipv6RecvErr, &true)?,
-        }
-        Ok(Self { socket, target, endpoint: 0 })
+        let arep = Arep { header: target.header, ..Arep::new(target.source) };
+        let node = ClientNode::bind(arep, target.address).await?;
+        Ok(Self { target, node, endpoint: None })
     }
 
     /// Sends one request and waits for its answer. Returns the answer, and the time from sending
@@ -186,101 +116,35 @@ impl Client {
         &mut self,
         request: &Request<'_>,
         wait: Duration,
-    ) -> Result<(Answer, Duration), ExchangeError> {
-        self.endpoint = self.endpoint % LAST_ENDPOINT + 1;
-        let mut octets = [0; MAX_DATAGRAM];
-        let length = self.target.emit_request(request, self.endpoint, &mut octets)?;
-        let to = self.target.socket_address(request.node_address);
-        let failed = |reason| ExchangeError::Socket { to, reason };
-        // The kernel tells a connected socket when nothing listens at the other end. The next
-        // request connects the socket again.
-        self.socket.connect(to).await.map_err(undelivered)?;
-        self.forget_errors().map_err(failed)?;
-
-        let sent = Instant::now();
-        self.socket.send(&octets[..length]).await.map_err(undelivered)?;
-        let (answer, arrived) = tokio::time::timeout(wait, self.receive(to, request.node_address))
-            .await
-            .map_err(|_| ExchangeError::NoAnswer { waited: wait })?
-            .map_err(undelivered)?;
-        Ok((answer, arrived - sent))
-    }
-
-    /// Discards errors that belong to an earlier request. The kernel's list of such errors takes
-    /// buffer space away from answers.
-    fn forget_errors(&self) -> io::Result<()> {
-        let (mut octets, flags) =
-            ([0; MAX_DATAGRAM], MsgFlags::MSG_ERRQUEUE | MsgFlags::MSG_DONTWAIT);
-        loop {
-            let mut room = [IoSliceMut::new(&mut octets)];
-            let descriptor = self.socket.as_raw_fd();
-            if recvmsg::<SockaddrStorage>(descriptor, &mut room, None, flags).is_err() {
-                break;
-            }
+    ) -> Result<(Response, Duration), ExchangeError> {
+        let route = self.target.route(request)?;
+        if route.names_broadcast() {
+            return Err(ExchangeError::Unconfirmed);
         }
-        self.socket.take_error().map(drop)
-    }
-
-    async fn receive(&self, from: SocketAddr, node_address: u8) -> io::Result<(Answer, Instant)> {
-        // The buffer has one octet more than the longest datagram. So a longer datagram is seen as
-        // too long, and is not cut.
-        let mut octets = [0; MAX_DATAGRAM + 1];
-        loop {
-            let (length, sender) = self.socket.recv_from(&mut octets).await?;
-            let arrived = Instant::now();
-            if sender != from {
-                continue;
+        let endpoint = self.reserve(Attributes::new(route), wait);
+        let Request { control_status, data_octets, .. } = *request;
+        let request = client::Request::Data { control_status, data_octets };
+        self.node.client().request(endpoint, &request)?;
+        while self.node.finished().await? != endpoint {}
+        match self.node.client().take_outcome(endpoint) {
+            Some(Outcome::Answered(answer)) => {
+                let round_trip = answer.round_trip;
+                Ok((answer, round_trip))
             }
-            if let Some(answer) =
-                self.target.recognise(&octets[..length], node_address, self.endpoint)
-            {
-                return Ok((answer, arrived));
-            }
+            Some(Outcome::Lost(loss)) => Err(loss.into()),
+            Some(Outcome::Sent) | None => Err(ExchangeError::Unconfirmed),
         }
     }
-}
 
-impl Target {
-    /// The answer of this node to this endpoint, if the octets are one. The other two destination
-    /// elements may be new: a server gives a dynamic client IPNetID 125 and a node address that the
-    /// server chooses (R-40, PAS 9).
-    fn recognise(&self, octets: &[u8], node_address: u8, endpoint: u8) -> Option<Answer> {
-        let response = Datagram::parse(octets, self.header).ok()?;
-        let destinations: Elements = response.route().destinations().collect();
-        let sources: Elements = response.route().sources().collect();
-        let to_us = matches!(destinations[..], [_, _, last] if last == endpoint);
-        // A response is unconfirmed (R-34, PAS 6.1.1.1.1.5).
-        let from_node = matches!(sources[..], [_, node, .., NCNA] if node == node_address);
-        // R-39, PAS 9.
-        let password_came_back = match (&self.password, response.password()) {
-            (Some(sent), Some(came)) => sent.matches(came).into(),
-            (None, None) => true,
-            _ => false,
-        };
-        (to_us && from_node && password_came_back).then(|| Answer {
-            destinations,
-            sources,
-            control_status: response.control_status(),
-            data_octets: response.data_octets().iter().copied().collect(),
-        })
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn what_the_network_says_is_told_in_words() {
-        for (number, words) in [
-            (libc::ECONNREFUSED, "nothing listens there"),
-            (libc::EHOSTUNREACH, "the host there cannot be reached"),
-            (libc::ENETUNREACH, "there is no way to that network"),
-            (libc::EACCES, "a firewall forbids it"),
-            (libc::EPERM, "a firewall forbids it"),
-        ] {
-            let error = undelivered(io::Error::from_raw_os_error(number));
-            assert_eq!(error.to_string(), words);
+    fn reserve(&mut self, attributes: Attributes, wait: Duration) -> EndpointId {
+        let client = self.node.client();
+        if let Some(last) = self.endpoint.take() {
+            client.free(last);
         }
+        let arep = Arep { response_timeout: wait, ..client.arep().clone() };
+        client.set_arep(arep).expect("nothing is on the way");
+        let endpoint = client.reserve(attributes).expect("no other endpoint is reserved");
+        self.endpoint = Some(endpoint);
+        endpoint
     }
 }

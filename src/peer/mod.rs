@@ -5,11 +5,13 @@
 //! those with its password.
 
 mod client;
+mod client_node;
 mod counts;
 mod faults;
 mod node;
 
-pub use client::{Answer, Client, ExchangeError, Request, Target};
+pub use client::{Client, ExchangeError, Request, Target};
+pub use client_node::ClientNode;
 pub use counts::NodeCounts;
 pub use faults::{Faults, NotAShare, Share};
 pub use node::{NodeError, NodeSettings, ServerNode};

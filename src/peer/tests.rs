@@ -7,7 +7,11 @@ use std::time::Duration;
 use tokio::net::UdpSocket;
 
 use super::*;
-use crate::pnet::endpoint::{Echo, Indicated, Service};
+use crate::pnet::endpoint::client::{
+    Arep, Attributes, EndpointId, FlatAddressing, Loss, Outcome, Request as Data, RequestError,
+    Source,
+};
+use crate::pnet::endpoint::{Echo, Indicated, Memory, Service};
 use crate::pnet::wire::Password;
 
 const PASSWORD: &[u8; 8] = b"PNETPASS";
@@ -251,11 +255,11 @@ async fn a_route_with_no_room_for_ncna_meets_silence() {
     client.exchange(&fits, LONG).await.unwrap();
     let full = Request { beyond: &[1; 24], ..fits };
     let silence = client.exchange(&full, SHORT).await.unwrap_err();
-    assert!(matches!(silence, ExchangeError::NoAnswer { waited: SHORT }));
+    assert!(matches!(silence, ExchangeError::Lost(Loss::NoAnswer { waited: SHORT, sent: 1 })));
     assert_eq!(node.counts.refused_total(), 1);
     let too_long = Request { beyond: &[1; 25], ..fits };
     let refused = client.exchange(&too_long, SHORT).await.unwrap_err();
-    assert!(matches!(refused, ExchangeError::Route(_)));
+    assert!(matches!(refused, ExchangeError::Request(RequestError::Route(_))));
 }
 
 #[tokio::test]
@@ -283,7 +287,7 @@ async fn a_client_is_told_where_nothing_listens() {
             assert_eq!(error.to_string(), "nothing listens there");
         }
         let silent = client.exchange(&ask(4), SHORT).await.unwrap_err();
-        assert!(matches!(silent, ExchangeError::NoAnswer { .. }), "{silent}");
+        assert!(matches!(silent, ExchangeError::Lost(Loss::NoAnswer { .. })), "{silent}");
         drop(there);
         let error = client.exchange(&ask(4), FOR_EVER).await.unwrap_err();
         assert_eq!(error.to_string(), "nothing listens there");
@@ -355,4 +359,168 @@ async fn a_port_in_use_is_named() {
     let address = SocketAddr::from((node.settings.address, node.settings.normal_port));
     assert!(error.to_string().contains(&format!("UDP port {address} is in use")), "{error}");
     assert!(!format!("{error:?} {:?}", node.settings).contains("PNETPASS"));
+}
+
+/// A client node that may send `window` requests to node 4 at a time, each `max_retries` times again.
+async fn client_node(node: &Node, window: usize, max_retries: u32) -> ClientNode {
+    let arep = Arep {
+        max_outstanding_requests: window,
+        max_retries,
+        response_timeout: SHORT,
+        ..Arep::new(Source::FIGURE_10)
+    };
+    ClientNode::bind(arep, node.settings.address.into()).await.unwrap()
+}
+
+/// Has the client send some requests, each with its number as data, and returns their outcomes in the
+/// order of the requests.
+async fn ask_all(client: &mut ClientNode, attributes: &Attributes, number: u8) -> Vec<Outcome> {
+    let ids: Vec<EndpointId> = (0..number)
+        .map(|data| {
+            let id = client.client().reserve(attributes.clone()).unwrap();
+            let request = Data::Data { control_status: 0x55, data_octets: &[data; 3] };
+            client.client().request(id, &request).unwrap();
+            id
+        })
+        .collect();
+    for _ in 0..number {
+        tokio::time::timeout(LONG, client.finished()).await.expect("an outcome").unwrap();
+    }
+    let take = |id| {
+        let outcome = client.client().take_outcome(id).unwrap();
+        client.client().free(id);
+        outcome
+    };
+    ids.into_iter().map(take).collect()
+}
+
+fn attributes(node: &Node) -> Attributes {
+    let password = Some(Password::new(*PASSWORD));
+    let start_port = node.settings.secure_port - 4;
+    let target = Target::new(node.settings.address.into(), start_port, password);
+    Attributes::new(target.route(&request(&[])).unwrap())
+}
+
+/// Each answer goes to its request, whatever the node does on the way.
+#[track_caller]
+fn all_answered(outcomes: &[Outcome]) {
+    for (number, outcome) in (0_u8..).zip(outcomes) {
+        let Outcome::Answered(response) = outcome else { panic!("{number}: {outcome:?}") };
+        assert_eq!(response.data_octets, [number; 3]);
+    }
+}
+
+#[tokio::test]
+async fn a_window_of_requests_is_answered_in_spite_of_faults() {
+    let millis = Duration::from_millis;
+    for (faults, window) in [
+        (Faults::default(), 1),
+        (Faults::default(), 32),
+        (Faults { duplicate: Share::ALL, ..Faults::default() }, 32),
+        (Faults { jitter: millis(40), ..Faults::default() }, 32),
+        (Faults { reorder: "50%".parse().unwrap(), ..Faults::default() }, 32),
+    ] {
+        let settings = NodeSettings { faults: faults.clone(), ..settings(12) };
+        let node = Node::with(settings, Echo).await;
+        // A machine that is busy may be slow, and that is not a fault.
+        let mut client = client_node(&node, window, 50).await;
+        for _ in 0..3 {
+            all_answered(&ask_all(&mut client, &attributes(&node), 60).await);
+        }
+    }
+}
+
+#[tokio::test]
+async fn r44_what_is_lost_on_the_way_is_asked_again() {
+    let faults = Faults { drop: "50%".parse().unwrap(), ..Faults::default() };
+    let node = Node::with(NodeSettings { faults, ..settings(13) }, Echo).await;
+    let mut client = client_node(&node, 32, 50).await;
+    all_answered(&ask_all(&mut client, &attributes(&node), 32).await);
+    assert!(node.counts.lost() > 0);
+    assert!(node.counts.received() >= 32 + node.counts.lost());
+}
+
+/// All responses are wrong in the same way: the client says in which.
+#[tokio::test]
+async fn a_client_tells_why_it_has_no_answer() {
+    let loss = async |third_octet, response_timeout, faults| {
+        let settings = NodeSettings { faults, ..settings(third_octet) };
+        let node = Node::with(settings, Echo).await;
+        let mut client = client_node(&node, 8, 0).await;
+        let arep = Arep { response_timeout, ..client.client().arep().clone() };
+        client.client().set_arep(arep).unwrap();
+        let outcomes = ask_all(&mut client, &attributes(&node), 2).await;
+        assert_eq!(outcomes[0], outcomes[1]);
+        match outcomes[0] {
+            Outcome::Lost(loss) => loss.to_string(),
+            _ => panic!("{outcomes:?}"),
+        }
+    };
+    // Long enough for a response to come, however busy the machine.
+    let long = Duration::from_secs(2);
+    let faults = Faults { answer_from_other_port: true, ..Faults::default() };
+    let told = loss(14, long, faults).await;
+    assert!(told.starts_with("answers came from another port, 127.17.14.4:"), "{told}");
+    let told = loss(15, long, Faults { wrong_password: true, ..Faults::default() }).await;
+    assert_eq!(told, "answers with a wrong password");
+    for faults in [
+        Faults { drop: Share::ALL, ..Faults::default() },
+        Faults { delay: LONG, ..Faults::default() },
+    ] {
+        assert_eq!(loss(16, SHORT, faults).await, "no answer within 100ms");
+    }
+}
+
+/// The report about one node does not hit the requests to another.
+#[tokio::test]
+async fn a_node_that_is_off_ends_only_its_own_requests() {
+    let node = Node::serving(18).await;
+    let mut client = client_node(&node, 32, 0).await;
+    let arep = Arep { response_timeout: LONG, ..client.client().arep().clone() };
+    client.client().set_arep(arep).unwrap();
+    let on = attributes(&node);
+    let mut off = on.clone();
+    // No socket has this port, unless the system has given it to another test.
+    off.destination.way.address.set_port(1);
+    let mut ids = Vec::new();
+    for number in 0..20_u8 {
+        let attributes = if number % 2 == 0 { &on } else { &off };
+        let id = client.client().reserve(attributes.clone()).unwrap();
+        let request = Data::Data { control_status: 0, data_octets: &[number; 3] };
+        client.client().request(id, &request).unwrap();
+        ids.push(id);
+    }
+    for _ in &ids {
+        client.finished().await.unwrap();
+    }
+    for (number, id) in (0..).zip(ids) {
+        match client.client().take_outcome(id).unwrap() {
+            Outcome::Answered(response) => assert_eq!(response.data_octets, [number; 3]),
+            Outcome::Lost(loss) => {
+                assert_eq!((number % 2, loss.to_string().as_str()), (1, "nothing listens there"));
+            }
+            Outcome::Sent => panic!("it is confirmed"),
+        }
+    }
+}
+
+#[tokio::test]
+async fn r44_a_memory_is_written_and_read_through_the_network() {
+    let faults =
+        Faults { duplicate: Share::ALL, drop: "20%".parse().unwrap(), ..Faults::default() };
+    let settings = NodeSettings { faults, ..settings(19) };
+    let node = Node::with(settings, Memory::new(2000, Some(1), Some(2))).await;
+    let mut client = client_node(&node, 1, 50).await;
+    let flat_addressing = Some(FlatAddressing { read: Some(1), write: Some(2) });
+    let attributes = Attributes { flat_addressing, ..attributes(&node) };
+    let id = client.client().reserve(attributes).unwrap();
+    let octets: Vec<u8> = (0..=255).cycle().take(1000).collect();
+    let write = Data::Write { offset: 500, data_octets: &octets };
+    for (request, expected) in [(write, &[][..]), (Data::Read { offset: 500, size: 1000 }, &octets)]
+    {
+        client.client().request(id, &request).unwrap();
+        assert_eq!(client.finished().await.unwrap(), id);
+        let Some(Outcome::Answered(response)) = client.client().take_outcome(id) else { panic!() };
+        assert_eq!(response.data_octets, expected);
+    }
 }

@@ -171,7 +171,7 @@ impl Tally {
                 self.answered.fetch_add(1, Relaxed);
                 *self.last_answer.lock().unwrap() = Some(Instant::now());
             }
-            Err(ExchangeError::NoAnswer { .. } | ExchangeError::Undelivered(_)) => {
+            Err(ExchangeError::Lost(_)) => {
                 self.lost.lock().unwrap().push(sent..Instant::now());
             }
             Err(error) => panic!("{error}"),

@@ -6,10 +6,12 @@
 use std::cell::{Cell, RefCell};
 use std::time::Duration;
 
+use anyhow::Context;
 use tokio::net::UdpSocket;
 
 use crate::peer::{Client, ExchangeError, Request, Target};
-use crate::pnet::wire::{LAST_NODE, MAX_DATAGRAM, Password};
+use crate::pnet::endpoint::client::{self as endpoint, Arep, Attributes};
+use crate::pnet::wire::{MAX_DATAGRAM, Password};
 
 use super::plant::{Plant, reading};
 
@@ -90,11 +92,11 @@ impl Traffic {
                 let polled = &mut self.polled.borrow_mut()[index];
                 match outcome {
                     Ok((answer, round_trip)) => {
-                        let right = answer.data_octets == reading(node_address, &octets);
+                        let right = answer.data_octets[..] == reading(node_address, &octets)[..];
                         *(if right { &mut polled.right } else { &mut polled.wrong }) += 1;
                         polled.round_trips += round_trip;
                     }
-                    Err(ExchangeError::NoAnswer { .. } | ExchangeError::Undelivered(_)) => {}
+                    Err(ExchangeError::Lost(_)) => {}
                     Err(error) => return Err(error.into()),
                 }
                 number = number.wrapping_add(1);
@@ -137,10 +139,14 @@ impl Traffic {
     fn intrusion(&self, number: u32, node_address: u8) -> anyhow::Result<Vec<u8>> {
         let guess = Password::new(fastrand::u64(..).to_ne_bytes());
         let stranger = Target { password: Some(guess), ..self.target.clone() };
+        let Request { control_status, data_octets, .. } = request(node_address, b"open");
+        let route = stranger.route(&request(node_address, &[]))?;
         let mut octets = [0; MAX_DATAGRAM];
-        let request = request(node_address, b"open");
-        let length = stranger.emit_request(&request, fastrand::u8(1..=LAST_NODE), &mut octets)?;
-        let mut octets = octets[..length].to_vec();
+        let mut client = endpoint::Client::new(Arep::new(stranger.source));
+        let endpoint = client.reserve(Attributes::new(route))?;
+        client.request(endpoint, &endpoint::Request::Data { control_status, data_octets })?;
+        let transmit = client.poll_transmit(Duration::ZERO, &mut octets).context("no request")?;
+        let mut octets = octets[..transmit.length].to_vec();
         let sound = number.is_multiple_of(2);
         self.count(|intrusions| {
             *(if sound { &mut intrusions.wrong_passwords } else { &mut intrusions.garbage }) += 1;
