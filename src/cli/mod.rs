@@ -17,6 +17,7 @@ mod run;
 mod signals;
 mod status;
 mod translate;
+mod values;
 
 use std::io::{self, ErrorKind, Write};
 use std::path::Path;
@@ -25,8 +26,9 @@ use std::process::ExitCode;
 use anyhow::anyhow;
 use clap::{Parser, Subcommand};
 
-use crate::config::{self, Config, Faults, Warning};
+use crate::config::{self, Config, Faults, Passwords, Warning};
 use crate::logging::{self, LogFormat, LogLevel, complain};
+use crate::pnet::ip_net_table::IpNetTable;
 use crate::pnet::wire::Password;
 
 /// The NAT router of P-NET on IP (IEC PAS 62412): lets remote clients reach the server nodes of a
@@ -164,6 +166,16 @@ fn told<T>(read: Result<T, Faults>) -> Result<T, ExitCode> {
         logging::complain_of_faults(&faults);
         ExitCode::from(code)
     })
+}
+
+/// Reads a client's IPNetTable with its passwords, and prints the warnings; otherwise prints its faults
+/// and returns the exit code.
+fn load_ip_net_table(path: &Path) -> Result<(IpNetTable, Passwords), ExitCode> {
+    let (found, warnings) = told(config::load_ip_net_table(path))?;
+    for warning in warnings {
+        complain(format_args!("warning: {warning}"));
+    }
+    Ok(found)
 }
 
 /// The value parser of options that name a password file.

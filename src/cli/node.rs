@@ -4,6 +4,7 @@
 
 use std::io::Write;
 use std::net::Ipv4Addr;
+use std::path::PathBuf;
 use std::process::ExitCode;
 use std::str::FromStr;
 use std::time::Duration;
@@ -12,10 +13,10 @@ use anyhow::Context;
 use tokio::task::JoinSet;
 
 use super::output::out;
-use super::password_file;
 use super::signals::Signals;
+use super::{BAD_USE, complain, load_ip_net_table, password_file, values};
 use crate::config::NodeRange;
-use crate::peer::{Faults, NodeCounts, NodeSettings, ServerNode, Share};
+use crate::peer::{Faults, NodeCounts, NodeError, NodeSettings, ServerNode, Share};
 use crate::pnet::endpoint::{Echo, Memory};
 use crate::pnet::wire::{NORMAL_PORT, Password, SECURE_PORT};
 
@@ -61,6 +62,12 @@ pub(super) struct Args {
     )]
     password_file: Vec<Password>,
 
+    /// File with an IPNetTable in TOML: clients that it names are answered through it, all others as
+    /// dynamic clients. Its node address is that of each node in turn. Without it, a node knows its own
+    /// subnet alone.
+    #[arg(long, value_name = "FILE", env = "PNET_NAT_TABLE")]
+    table: Option<PathBuf>,
+
     /// What a node answers: the data of the request, or what is in its memory.
     #[arg(long, value_enum, default_value_t = Reply::Echo, env = "PNET_NAT_REPLY")]
     reply: Reply,
@@ -70,11 +77,11 @@ pub(super) struct Args {
     memory: u16,
 
     /// Control-status of requests that read the memory, such as 0x01. Without it, none does.
-    #[arg(long, value_name = "OCTET", value_parser = octet, env = "PNET_NAT_READ")]
+    #[arg(long, value_name = "OCTET", value_parser = values::octet, env = "PNET_NAT_READ")]
     read: Option<u8>,
 
     /// Control-status of requests that write the memory. Without it, none does.
-    #[arg(long, value_name = "OCTET", value_parser = octet, env = "PNET_NAT_WRITE")]
+    #[arg(long, value_name = "OCTET", value_parser = values::octet, env = "PNET_NAT_WRITE")]
     write: Option<u8>,
 
     #[command(flatten)]
@@ -134,16 +141,6 @@ enum Reply {
     Memory,
 }
 
-/// An octet as P-NET documents and programs write it: 42, 0x2A or $2A.
-fn octet(text: &str) -> Result<u8, &'static str> {
-    let hex = text.strip_prefix("0x").or_else(|| text.strip_prefix('$'));
-    let octet = match hex {
-        Some(hex) => u8::from_str_radix(hex, 16),
-        None => text.parse(),
-    };
-    octet.map_err(|_| "write an octet as a number from 0 to 255, or as 0x00 to 0xFF")
-}
-
 /// Runs the nodes until SIGINT or SIGTERM.
 pub(super) fn run(args: Args) -> anyhow::Result<ExitCode> {
     tokio::runtime::Builder::new_current_thread().enable_all().build()?.block_on(serve(args))
@@ -152,15 +149,27 @@ pub(super) fn run(args: Args) -> anyhow::Result<ExitCode> {
 async fn serve(args: Args) -> anyhow::Result<ExitCode> {
     let mut signals = Signals::new()?;
     let mut out = out();
+    let table = match args.table.as_deref().map(load_ip_net_table).transpose() {
+        Ok(table) => table.map(|(table, _)| table),
+        Err(code) => return Ok(code),
+    };
     let mut nodes = Vec::new();
     for address in args.listen.iter().flat_map(AddressRange::addresses) {
-        let settings = settings(&args, address);
-        nodes.push(match args.reply {
-            Reply::Echo => ServerNode::bind(settings, Echo)?,
+        let settings = NodeSettings { table: table.clone(), ..settings(&args, address) };
+        let node = match args.reply {
+            Reply::Echo => ServerNode::bind(settings, Echo),
             Reply::Memory => {
-                ServerNode::bind(settings, Memory::new(args.memory, args.read, args.write))?
+                ServerNode::bind(settings, Memory::new(args.memory, args.read, args.write))
             }
-        });
+        };
+        match node {
+            Ok(node) => nodes.push(node),
+            Err(fault @ NodeError::Table { .. }) => {
+                complain(format_args!("pnet-nat: --table: {fault}"));
+                return Ok(ExitCode::from(BAD_USE));
+            }
+            Err(error) => return Err(error.into()),
+        }
     }
     let mut serving = JoinSet::new();
     let mut counts = Vec::new();
@@ -260,16 +269,6 @@ impl FromStr for AddressRange {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn octets_are_written_in_three_ways() {
-        for (text, expected) in [("42", 42), ("0x2a", 42), ("$2A", 42), ("0", 0), ("0xFF", 255)] {
-            assert_eq!(octet(text), Ok(expected));
-        }
-        for bad in ["", "256", "0x", "0x100", "$", "-1", "2A"] {
-            assert!(octet(bad).is_err(), "{bad:?}");
-        }
-    }
 
     #[test]
     fn an_address_or_a_range_of_its_last_number() {

@@ -12,8 +12,8 @@ use comfy_table::Table;
 use serde::Serialize;
 
 use super::output::{Format, out, plain_table, print_json};
-use super::{BAD_USE, complain, told};
-use crate::config::{self, NodeRange, NotANodeRange};
+use super::{BAD_USE, complain, load_ip_net_table};
+use crate::config::{NodeRange, NotANodeRange};
 use crate::pnet::ip_net_table::{Destination, IpNetTable, TranslateError, Translation};
 use crate::pnet::wire::{BNA, IpNetId, NodeAddress};
 
@@ -49,13 +49,10 @@ pub(super) struct Args {
 /// Prints a line for each node; or the faults of the table, or why it has no way, and returns exit
 /// code 2.
 pub(super) fn run(args: &Args) -> anyhow::Result<ExitCode> {
-    let (table, warnings) = match told(config::load_ip_net_table(&args.table)) {
-        Ok(sound) => sound,
+    let table = match load_ip_net_table(&args.table) {
+        Ok((table, _)) => table,
         Err(code) => return Ok(code),
     };
-    for warning in warnings {
-        complain(format_args!("warning: {warning}"));
-    }
     let destinations = args.node.iter().flat_map(Destinations::each);
     let translate = |destination: Destination| {
         let way = table.translate(args.net, destination)?;

@@ -1,8 +1,11 @@
 //! The IPNetTable of a client as TOML: `node_address` and an `[[ip_net]]` for each row.
 //!
+//! Beside the table, a file names the password of each row that uses one.
+//!
 //! Which rows are legal is known to [`IpNetTable`] alone. Here each of its faults gets the line of its
 //! field and a remedy.
 
+use std::collections::BTreeMap;
 use std::path::Path;
 
 use super::report::{Faults, Warning};
@@ -13,13 +16,17 @@ use super::{address, read_document};
 use crate::pnet::ip_net_table::{
     Field, Fields, IllegalTable, IpNetTable, Nettype, RowFault, TableError,
 };
-use crate::pnet::wire::{IpNetId, LAST_NODE, NORMAL_PORT, NodeAddress, SECURE_PORT};
+use crate::pnet::wire::{IpNetId, LAST_NODE, NORMAL_PORT, NodeAddress, Password, SECURE_PORT};
+
+/// The passwords of the rows that name one.
+pub type Passwords = BTreeMap<IpNetId, Password>;
 
 /// A row as far as it could be read, and where its fields are.
 #[derive(Debug)]
 struct Draft<'a> {
     id: IpNetId,
     fields: Fields,
+    password: Option<Password>,
     entries: Entries<'a>,
 }
 
@@ -45,15 +52,14 @@ impl<'a> Entries<'a> {
     }
 }
 
-/// Reads a file with an IPNetTable. The password files that it names are opened as well, by the rules
-/// of the relay, and what is in them is not kept.
-pub fn load(path: &Path) -> Result<(IpNetTable, Vec<Warning>), Faults> {
-    parse(&text::read(path, Kind::IpNetTable)?, path)
+/// Reads a file with an IPNetTable, and the password files that it names, by the rules of the relay.
+pub fn load(path: &Path) -> Result<((IpNetTable, Passwords), Vec<Warning>), Faults> {
+    read_document(&text::read(path, Kind::IpNetTable)?, path, table)
 }
 
 /// Reads an IPNetTable from text as if it were the file `path`.
 pub fn parse(text: &str, path: &Path) -> Result<(IpNetTable, Vec<Warning>), Faults> {
-    read_document(text, path, table)
+    read_document(text, path, table).map(|((table, _), warnings)| (table, warnings))
 }
 
 /// A row as [`parse`] reads it.
@@ -68,7 +74,7 @@ pub(crate) fn row_as_toml(id: IpNetId, fields: &Fields) -> String {
     )
 }
 
-fn table(mut root: Section<'_>) -> Option<IpNetTable> {
+fn table(mut root: Section<'_>) -> Option<(IpNetTable, Passwords)> {
     let (place, report) = (root.place.clone(), root.report);
     let node_address = root.key("node_address", "4").required().integer(1..=LAST_NODE);
     let sections = root.key("ip_net", "").sections();
@@ -92,7 +98,10 @@ fn table(mut root: Section<'_>) -> Option<IpNetTable> {
     let node_address = node_address.or_else(|| NodeAddress::all().find(|node| !is_router(node)))?;
     let illegal = match IpNetTable::new(node_address, drafts.iter().map(|row| (row.id, row.fields)))
     {
-        Ok(table) => return report.is_sound().then_some(table),
+        Ok(table) => {
+            let passwords = drafts.into_iter().filter_map(|row| Some((row.id, row.password?)));
+            return report.is_sound().then(|| (table, passwords.collect()));
+        }
         Err(IllegalTable(errors)) => errors,
     };
     for error in illegal {
@@ -138,7 +147,7 @@ fn draft(mut section: Section<'_>) -> Option<Draft<'_>> {
     let router = router_entry.integer(0..=LAST_NODE);
     let use_password = flag(&use_password_entry);
     let allow_without_password = flag(&without_password);
-    check_password_file(&password_file);
+    let password = password(&password_file);
     let fields = if is_unused {
         Fields::UNUSED
     } else {
@@ -167,7 +176,7 @@ fn draft(mut section: Section<'_>) -> Option<Draft<'_>> {
             "compare it with the start port of the NAT router",
         );
     }
-    Some(Draft { id: id?, fields, entries })
+    Some(Draft { id: id?, fields, password, entries })
 }
 
 /// A switch that is off when it is left out; none when it could not be read.
@@ -187,10 +196,14 @@ fn ip_net_id(entry: &Entry<'_>) -> Option<IpNetId> {
     id
 }
 
-/// The password is of no use here, but a file that is named has to be one.
-fn check_password_file(entry: &Entry<'_>) {
-    if let Some(Err(error)) = path_of(entry).map(read_password) {
-        entry.fault(error.to_string(), error.remedy());
+/// The password in the file that `entry` names.
+fn password(entry: &Entry<'_>) -> Option<Password> {
+    match read_password(path_of(entry)?) {
+        Ok(password) => Some(password),
+        Err(error) => {
+            entry.fault(error.to_string(), error.remedy());
+            None
+        }
     }
 }
 

@@ -2,7 +2,7 @@
 //!
 //! TOML text becomes a [`Config`] that holds nothing to check again, or [`Faults`]: all of them in
 //! one run, each with its line, its key and what to do. `config/pnet-nat.toml` describes the keys.
-//! A client's IPNetTable, which `pnet-nat translate` works from, is read in the same way.
+//! A client's IPNetTable, which `pnet-nat translate`, `request` and `node` work from, is read in the same way.
 //!
 //! The tables of the TOML are read key by key instead of by `serde`. `serde` stops at the first fault,
 //! and after it nothing of the file has been checked; it also keeps no place for faults that show only
@@ -56,7 +56,7 @@ pub(crate) use changes::runs;
 pub use changes::{Changes, NotInForce};
 #[cfg(feature = "cli")]
 pub(crate) use ip_net_table::row_as_toml as ip_net_as_toml;
-pub use ip_net_table::{load as load_ip_net_table, parse as parse_ip_net_table};
+pub use ip_net_table::{Passwords, load as load_ip_net_table, parse as parse_ip_net_table};
 pub use model::{Admin, Config, Datapath, Log, NotAPrefilter, Prefilter, Runtime};
 pub use node_range::{NodeRange, NotANodeRange};
 pub use peek::{AdminPlace, admin_place, user};

@@ -31,6 +31,7 @@ mod package;
 mod prometheus;
 mod relaying;
 mod reloading;
+mod request;
 mod scale;
 mod status;
 mod status_page;

@@ -34,7 +34,7 @@ pub(super) fn read(
 }
 
 /// The octets of a line without its comment.
-fn octets(line: &[u8]) -> Option<Vec<u8>> {
+pub(in crate::cli) fn octets(line: &[u8]) -> Option<Vec<u8>> {
     let text = line.split(|&octet| octet == b'#').next()?;
     let words = text.split(|octet| octet.is_ascii_whitespace() || *octet == b':');
     let mut octets = Vec::new();

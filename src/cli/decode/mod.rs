@@ -22,6 +22,8 @@ mod settings;
 mod stop;
 mod summary;
 
+pub(super) use hex::octets;
+
 use std::cell::RefCell;
 use std::io::{BufRead, BufReader, BufWriter, Cursor, Read, Write};
 use std::path::PathBuf;
