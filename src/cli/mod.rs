@@ -11,6 +11,7 @@ mod documentation;
 mod healthcheck;
 mod node;
 mod output;
+mod progress;
 mod reload;
 mod request;
 mod run;

@@ -283,7 +283,7 @@ fn long_work_has_a_progress_bar_on_a_terminal() {
         terminal.text()
     };
     let long = on_a_terminal("5");
-    assert!(long.contains("] ") && long.contains(" of 5\x1b[K"), "{long:?}");
+    assert!(long.contains(" %, ") && long.contains(" of 5\r\x1b[K"), "{long:?}");
     assert!(!on_a_terminal("1").contains(" of 1"));
 }
 

@@ -6,11 +6,11 @@ use std::{future, io, mem};
 
 use tokio::time::Instant;
 
-use super::progress::ProgressBar;
 use super::report::{Line, Result as Printed, Statistics};
 use super::schedule::Schedule;
 use super::{Args, Octets, bad_use};
 use crate::cli::output::{Out, out};
+use crate::cli::progress::{ProgressLine, bar};
 use crate::cli::signals::Signals;
 use crate::peer::ClientNode;
 use crate::pnet::endpoint::client::{
@@ -28,7 +28,7 @@ pub(super) struct Asking<'a> {
     /// The number of the next request.
     number: u32,
     statistics: Vec<Statistics>,
-    bar: ProgressBar,
+    progress: ProgressLine,
     out: Out,
 }
 
@@ -52,7 +52,7 @@ impl<'a> Asking<'a> {
             waiting: Vec::new(),
             number: 0,
             statistics: vec![Statistics::default(); nodes],
-            bar: ProgressBar::new(),
+            progress: ProgressLine::new(true),
             out: out(),
         }
     }
@@ -67,7 +67,7 @@ impl<'a> Asking<'a> {
                 && let Some(route) = self.schedule.next(Instant::now())
             {
                 if let Err(error) = self.ask(route) {
-                    self.bar.clear();
+                    self.progress.clear();
                     return Ok(bad_use(error));
                 }
             }
@@ -86,7 +86,7 @@ impl<'a> Asking<'a> {
                 }
             }
         }
-        self.bar.clear();
+        self.progress.clear();
         Ok(self.print_statistics()?)
     }
 
@@ -130,7 +130,7 @@ impl<'a> Asking<'a> {
             () = until(deadline) => Event::Over("no answer before the deadline"),
             finished = self.client.finished() => Event::Finished(finished?),
             () = until(next_round) => Event::TimeToAsk,
-            () = until(self.bar.due()) => Event::TimeToDraw,
+            () = until(self.progress.due().map(Instant::from)) => Event::TimeToDraw,
         })
     }
 
@@ -150,7 +150,7 @@ impl<'a> Asking<'a> {
             None => Printed::Failed { error: given_up.to_owned() },
         };
         let (node, to) = self.name(route);
-        self.bar.clear();
+        self.progress.clear();
         Line { node, to, result, retries }.print(self.args.format, &mut self.out)
     }
 
@@ -160,7 +160,8 @@ impl<'a> Asking<'a> {
         let endpoints = self.waiting.iter().filter_map(|(endpoint, _)| client.get(*endpoint));
         let parts: f64 = endpoints.map(|endpoint| endpoint.progress().fraction()).sum();
         let all = u64::from(self.args.pace.count.get()) * self.routes.len() as u64;
-        self.bar.draw(ended as f64 + parts, all);
+        let share = (ended as f64 + parts) / all as f64;
+        self.progress.draw(&format!("{}, {ended} of {all}", bar(share)));
     }
 
     /// Node address, and where requests to it go.

@@ -5,7 +5,6 @@
 //! ever printed.
 
 mod asking;
-mod progress;
 mod report;
 mod routes;
 mod schedule;
