@@ -1,5 +1,5 @@
 //! The core allocates nothing for a datagram, neither for one of an open flow nor for one that is
-//! dropped. The memory of an open flow is measured.
+//! dropped. The memory of an open flow is measured. A client node allocates nothing for what it receives.
 //!
 //! The allocator counts for each thread by itself, so that the tests may run at the same time.
 // An allocator cannot be written without unsafe code. This one hands every call on to the system's.
@@ -11,6 +11,11 @@ use std::net::{Ipv4Addr, SocketAddr};
 use std::time::Duration;
 
 use pnet_nat::nat::{Arrival, DropReason, RequestRate};
+use pnet_nat::pnet::endpoint::client::{
+    Arep, Attributes, Client, DestinationRoute, Outcome, Request, Source, Undelivered, Way,
+};
+use pnet_nat::pnet::ip_net_table::Destination;
+use pnet_nat::pnet::wire::{MAX_DATAGRAM, Password};
 use pnet_nat_rig::isolated_core::{
     DEVICE_PASSWORD, Flow, PASSWORD, REST, Rig, Site, arrival, client_endpoint, datagram, garbage,
     largest_request, request, response, server,
@@ -294,6 +299,45 @@ fn a_flow_that_comes_back_costs_no_allocation() {
     without_allocating(|| {
         rig.core.request(rig.now, &arrival, &mut octets, &mut rig.effects).unwrap();
     });
+}
+
+/// What a client ignores, and what answers its requests, more often than there are addresses.
+#[test]
+fn what_a_client_receives_costs_no_allocation() {
+    let [router, elsewhere]: [SocketAddr; 2] =
+        ["203.0.113.5:40004", "203.0.113.5:9"].map(|address| address.parse().unwrap());
+    let mut client = Client::new(Arep::new(Source::FIGURE_10));
+    let endpoint = client.reserve(Attributes::new(DestinationRoute {
+        way: Way { address: router, password: Some(Password::new(*PASSWORD)) },
+        ip_net_id: Source::FIGURE_10.ip_net_id,
+        node: Destination::try_from(4).unwrap(),
+        beyond: [2, 33].into_iter().collect(),
+    }));
+    let endpoint = endpoint.unwrap();
+    let mut random = fastrand::Rng::with_seed(7);
+    let mut octets = [0; MAX_DATAGRAM];
+    for round in 0..300 {
+        let request = Request::Data { control_status: 0, data_octets: &[7; 63] };
+        client.request(endpoint, &request).unwrap();
+        let now = Duration::from_secs(round);
+        let length = client.poll_transmit(now, &mut octets).unwrap().length;
+        let address = client.get(endpoint).unwrap().address();
+        let route = [0x7D, round as u8 % 125 + 1, 6, address, 0x8B, 0x84, 0x82, 0xA1, 0x80];
+        let right = [&octets[..4], &route, &octets[12..length]].concat();
+        let mut wrong = right.clone();
+        *wrong.last_mut().unwrap() ^= 1;
+        let noise = garbage(&mut random, &right[..round as usize % 10]);
+        without_allocating(|| {
+            client.receive(now, router, &noise).unwrap_err();
+            client.receive(now, router, &wrong).unwrap_err();
+            client.receive(now, elsewhere, &right).unwrap_err();
+            client.undelivered(elsewhere, &noise, Undelivered::Forbidden);
+            client.receive(now, router, &right).unwrap();
+            client.receive(now, router, &right).unwrap_err();
+        });
+        assert_eq!(client.poll_finished(), Some(endpoint));
+        assert!(matches!(client.take_outcome(endpoint), Some(Outcome::Answered(_))));
+    }
 }
 
 #[test]
