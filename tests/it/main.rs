@@ -19,6 +19,7 @@ mod early_signals;
 mod fail2ban;
 mod failover;
 mod faults;
+mod figure_11;
 mod floods;
 mod forged;
 mod killed;
