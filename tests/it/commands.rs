@@ -19,6 +19,16 @@ fn the_demo_ends_well() {
     }
 }
 
+/// Each takes ports that no other one is about to take.
+#[test]
+fn demos_do_not_get_in_each_others_way() {
+    let demo = || Process::start(pnet_nat(&["demo", "--seconds", "1"]));
+    let demos: Vec<_> = (0..6).map(|_| demo()).collect();
+    for mut demo in demos {
+        assert_eq!(demo.end(), Some(0), "{}\n{}", demo.stdout(), demo.stderr());
+    }
+}
+
 #[test]
 fn a_request_goes_through_the_relay_to_simulated_nodes_and_back() {
     let site = Site::claim();

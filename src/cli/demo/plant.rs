@@ -44,9 +44,9 @@ impl Plant {
     /// Starts the nodes and finds public ports for them.
     pub(super) async fn build() -> anyhow::Result<Self> {
         let password = random_password()?;
-        let start_port = free_start_port()?;
+        let (nodes, start_port) = bind_nodes(&password)?;
         let mut serving = JoinSet::new();
-        let nodes = bind_nodes(&password)?.into_iter().map(|node| {
+        let nodes = nodes.into_iter().map(|node| {
             let settings = node.settings();
             let node_address = settings.node_address();
             let plant_node = PlantNode {
@@ -120,15 +120,25 @@ pub(super) fn reading(node_address: u8, request: &[u8]) -> Data {
     request.iter().copied().take(MAX_DATA - 1).chain([node_address]).collect()
 }
 
-/// Binds the nodes at 127.17.17.x, or in the next subnet where their ports are free.
-fn bind_nodes(password: &Password) -> Result<Vec<ServerNode>, NodeError> {
-    let mut subnet = 17;
-    loop {
-        match bind_subnet(subnet, password) {
-            Err(NodeError::Listen(error)) if error.is_in_use() && subnet < 255 => subnet += 1,
-            outcome => return outcome,
+/// The nodes are in one of the subnets 127.17.x.0 with these numbers.
+const SUBNETS: std::ops::RangeInclusive<u8> = 17..=116;
+
+/// Binds the nodes in the first subnet where their ports are free, and so is the block of public ports
+/// that goes with it. Nobody else can bind these nodes then, so no other demo takes the same block.
+/// The relay's sockets alone would not keep it off, for relays may share their ports.
+fn bind_nodes(password: &Password) -> anyhow::Result<(Vec<ServerNode>, u16)> {
+    for subnet in SUBNETS {
+        let nodes = match bind_subnet(subnet, password) {
+            Err(NodeError::Listen(error)) if error.is_in_use() => continue,
+            nodes => nodes?,
+        };
+        let start_port = 40_000 + 200 * u16::from(subnet - SUBNETS.start());
+        let is_free = |node: u8| UdpSocket::bind((PUBLIC, start_port + u16::from(node))).is_ok();
+        if NODES.into_iter().all(is_free) {
+            return Ok((nodes, start_port));
         }
     }
+    bail!("no block of free UDP ports on {PUBLIC} between 40000 and 60000; end another program")
 }
 
 fn bind_subnet(subnet: u8, password: &Password) -> Result<Vec<ServerNode>, NodeError> {
@@ -145,18 +155,6 @@ fn bind_subnet(subnet: u8, password: &Password) -> Result<Vec<ServerNode>, NodeE
         nodes.push(ServerNode::bind(settings, service)?);
     }
     Ok(nodes)
-}
-
-/// 40000, or the next start port where the ports of all nodes are free. The relay's own sockets share
-/// their ports, so a second relay could bind them too; the sockets used here share nothing and so find out.
-fn free_start_port() -> anyhow::Result<u16> {
-    for start_port in (40_000..60_000).step_by(200) {
-        let free = |node: u8| UdpSocket::bind((PUBLIC, start_port + u16::from(node))).is_ok();
-        if NODES.into_iter().all(free) {
-            return Ok(start_port);
-        }
-    }
-    bail!("no block of free UDP ports on {PUBLIC} between 40000 and 60000; end another program")
 }
 
 fn random_password() -> anyhow::Result<Password> {
