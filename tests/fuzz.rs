@@ -7,7 +7,7 @@
 use std::fs;
 use std::path::Path;
 
-use pnet_nat_rig::targets::{codec, configuration, core, ip_net_table};
+use pnet_nat_rig::targets::{codec, configuration, core, endpoints, ip_net_table};
 use proptest::collection::vec;
 use proptest::prelude::*;
 use proptest::sample::{Index, select};
@@ -31,6 +31,11 @@ fn any_text_is_a_configuration_or_told_why_not() {
 #[test]
 fn any_text_or_octets_are_an_ip_net_table_or_told_why_not() {
     survives("ip_net_table", ip_net_table::holds);
+}
+
+#[test]
+fn any_datagrams_are_answered_or_ignored_by_the_endpoints() {
+    survives("endpoints", endpoints::holds);
 }
 
 /// Every file of a target's corpus, then changes of them.

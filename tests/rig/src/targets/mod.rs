@@ -7,4 +7,5 @@
 pub mod codec;
 pub mod configuration;
 pub mod core;
+pub mod endpoints;
 pub mod ip_net_table;
