@@ -79,7 +79,7 @@ impl World {
             3 => self.hear(stranger(which).into(), octets),
             4 => self.hear(SERVER.into(), octets),
             5 => {
-                let port = if which % 2 == 0 { Port::Normal } else { Port::Secure };
+                let port = if which.is_multiple_of(2) { Port::Normal } else { Port::Secure };
                 self.serve(port, stranger(which), octets);
             }
             6 => self.wait(Duration::from_millis(250 * which as u64)),
@@ -166,7 +166,7 @@ impl World {
     }
 
     fn look(&mut self, which: usize) {
-        if which % 2 == 0 {
+        if which.is_multiple_of(2) {
             while let Some(id) = self.client.poll_finished() {
                 assert_ne!(self.client.state(id), RepState::WaitingForResponse);
             }
