@@ -5,11 +5,14 @@ use std::fmt::Write;
 use std::net::SocketAddrV4;
 use std::time::Duration;
 
-use pnet_nat::pnet::endpoint::{Port, Server};
+use pnet_nat::pnet::endpoint::client::{
+    Arep, Attributes, Client, DestinationRoute, FlatAddressing, Outcome, Request, Source, Way,
+};
+use pnet_nat::pnet::endpoint::{Memory, Port, Server, Service};
 use pnet_nat::pnet::ip_net_table::{Destination, Fields, IpNetTable, Nettype};
 use pnet_nat::pnet::wire::{
-    BNA, Datagram, DatagramRepr, DlRoute, Header, IpNetId, MAX_DATAGRAM, NORMAL_PORT, NodeAddress,
-    Password, RouteFormat,
+    BNA, Datagram, DatagramRepr, DlRoute, Elements, Header, IpNetId, MAX_DATAGRAM, NORMAL_PORT,
+    NodeAddress, Password, RouteFormat,
 };
 
 const PAGE: &str = include_str!("../../docs/vectors.md");
@@ -161,6 +164,39 @@ fn exchanges() -> String {
     table
 }
 
+/// A write of 70 octets into a memory, in pieces, and the answers of a server.
+fn segments() -> String {
+    let way = Way { address: "203.0.113.5:40004".parse().unwrap(), password: None };
+    let mut attributes = Attributes::new(DestinationRoute {
+        way,
+        ip_net_id: IpNetId::new(11).unwrap(),
+        node: Destination::Node(NodeAddress::new(4).unwrap()),
+        beyond: Elements::new(),
+    });
+    attributes.flat_addressing = Some(FlatAddressing { read: Some(1), write: Some(2) });
+    let mut client = Client::new(Arep::new(Source::FIGURE_10));
+    let endpoint = client.reserve(attributes).unwrap();
+    let data_octets: Vec<u8> = (0..70).collect();
+    client.request(endpoint, &Request::Write { offset: 256, data_octets: &data_octets }).unwrap();
+
+    let (mut server, mut memory) = (server(), Memory::new(512, Some(1), Some(2)));
+    let mut table = "| request | response |\n|---|---|\n".to_owned();
+    let mut buffer = [0; MAX_DATAGRAM];
+    while let Some(sent) = client.poll_transmit(Duration::ZERO, &mut buffer) {
+        let request = buffer[..sent.length].to_vec();
+        let from = "198.51.100.9:50000".parse().unwrap();
+        let indicated = server.receive(Duration::ZERO, Port::Normal, from, &request).unwrap();
+        let data = memory.serve(&indicated).unwrap();
+        let length = indicated.requester.unwrap().respond(&data, &mut buffer).unwrap();
+        let response = buffer[..length].to_vec();
+        client.receive(Duration::ZERO, sent.to, &response).unwrap();
+        writeln!(table, "| `{}` | `{}` |", hex(&request), hex(&response)).unwrap();
+    }
+    assert_eq!(memory.octets()[256..326], data_octets);
+    assert!(matches!(client.take_outcome(endpoint), Some(Outcome::Answered(_))));
+    table
+}
+
 /// PAS 8, by the table of the page.
 fn translations() -> String {
     let ip_range = |router| Fields {
@@ -208,6 +244,7 @@ fn the_vectors_are_those_of_the_code() {
     for (heading, right) in [
         ("Route formats", formats()),
         ("A server and its clients", exchanges()),
+        ("A request in pieces", segments()),
         ("Translation", translations()),
     ] {
         let (_, section) = PAGE.split_once(&format!("## {heading}\n")).unwrap();
