@@ -12,9 +12,17 @@ pub(super) async fn html() -> Html<&'static str> {
     Html(include_str!("page/status.html"))
 }
 
-/// `GET /status.js`
+/// `GET /status.js`: one script. Its parts know what is in those before them.
 pub(super) async fn script() -> impl IntoResponse {
-    ([(CONTENT_TYPE, "text/javascript; charset=utf-8")], include_str!("page/status.js"))
+    const SCRIPT: &str = concat!(
+        include_str!("page/status/asking.js"),
+        include_str!("page/status/figures.js"),
+        include_str!("page/status/drawing.js"),
+        include_str!("page/status/nets.js"),
+        include_str!("page/status/relay.js"),
+        include_str!("page/status/rounds.js"),
+    );
+    ([(CONTENT_TYPE, "text/javascript; charset=utf-8")], SCRIPT)
 }
 
 /// `GET /status.css`
