@@ -185,11 +185,17 @@ impl<'a> Client<'a> {
         Self { namespace, folder }
     }
 
-    fn json(&self, command: &str, net: u8, node: u8) -> Value {
+    /// Asks one node, and takes its answer.
+    fn ask(&self, net: u8, node: u8) {
+        // The machine may be busy.
+        self.json(&["request", "--timeout", "20s"], net, node);
+    }
+
+    fn json(&self, command: &[&str], net: u8, node: u8) -> Value {
         let table = self.folder.path().join("client.toml");
         let [net, node] = [net, node].map(|number| number.to_string());
-        let arguments = [command, "--table", table.to_str().unwrap(), "--net", &net, "--node"];
-        let arguments = [&arguments[..], &[&node, "--format", "json"]].concat();
+        let of_node = ["--net", &net, "--node", &node, "--format", "json"];
+        let arguments = [command, &["--table", table.to_str().unwrap()], &of_node].concat();
         let mut process = self.namespace.enter(|| Process::start(pnet_nat(&arguments)));
         assert_eq!(process.end(), Some(0), "{}{}", process.stdout(), process.stderr());
         let line = process.stdout();
@@ -197,7 +203,7 @@ impl<'a> Client<'a> {
     }
 
     fn way(&self, net: u8, node: u8) -> Way {
-        let told = self.json("translate", net, node);
+        let told = self.json(&["translate"], net, node);
         let address: Ipv4Addr = told["address"].as_str().unwrap().parse().unwrap();
         let port = told["port"].as_u64().unwrap() as u16;
         let (next_hop, password) = (told["next_hop"].as_u64(), told["password"].as_bool().unwrap());
@@ -256,7 +262,7 @@ fn direct(client: &Client<'_>, section: &Namespace, node: u8) {
     let way = client.way(1, node);
     assert_eq!((way.to, way.next_hop, way.password), (normal(SECTION_1, node), None, false));
     let wire = section.capture();
-    client.json("request", 1, node);
+    client.ask(1, node);
     let [request, response] = exchange(wire);
     assert_eq!((request.1, response.0), (way.to, way.to));
     check(&request.2, &[1, node], None);
@@ -269,7 +275,7 @@ fn through_the_local_router(plant: &Plant, client: &Client<'_>, node: u8) {
     let way = client.way(2, node);
     assert_eq!((way.to, way.next_hop, way.password), (normal(SECTION_2, node), Some(121), false));
     let (router, wire) = (plant.local_router.capture(), plant.section_2.capture());
-    client.json("request", 2, node);
+    client.ask(2, node);
     let there = exchange(wire);
     assert_eq!(exchange(router), there, "what the router had is what came");
     let [request, response] = there;
@@ -292,7 +298,7 @@ fn through_the_nat_router(
     let public = SocketAddr::from((PUBLIC, start_port + u16::from(node)));
     assert_eq!((way.to, way.next_hop, way.password), (public, Some(1), true));
     let (outside, inside) = (client.namespace.capture(), section.capture());
-    client.json("request", net, node);
+    client.ask(net, node);
     let [[request, response], [passed, answer]] = [exchange(outside), exchange(inside)];
     assert_eq!((request.1, response.0), (public, public));
     let [a, b, c] = subnet;
