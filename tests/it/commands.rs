@@ -49,7 +49,7 @@ fn a_request_goes_through_the_relay_to_simulated_nodes_and_back() {
     let request = |password: &str| {
         let arguments = [
             &["request", "--to", &to, "--start-port", &start_port, "--node", "1-4"][..],
-            &["--count", "5", "--interval", "1ms", "--format", "json", "--timeout", "1s"],
+            &["--count", "5", "--interval", "1ms", "--format", "json", "--timeout", "20s"],
             &["--password-file", password],
         ];
         let mut request = Process::start(pnet_nat(&arguments.concat()));
