@@ -146,7 +146,7 @@ fn three_processes_in_three_networks() {
         let ask = || {
             let arguments = [
                 &["request", "--to", "198.51.100.1", "--start-port", "40000"][..],
-                &["--node", "1-4,33", "--count", "20", "--interval", "1ms"],
+                &["--node", "1-4,33", "--count", "20", "--interval", "1ms", "--timeout", "20s"],
                 &["--password-file", password],
             ];
             network.internet.enter(|| Process::start(pnet_nat(&arguments.concat())))
