@@ -4,11 +4,10 @@
 //! One socket serves all nodes, as in a P-NET client, so a router sees one client endpoint. It is
 //! not connected: so answers from a wrong port are seen, and the reports of one node do not hit another.
 
-use std::future;
 use std::io::{self, ErrorKind, IoSliceMut};
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
 use std::os::fd::AsRawFd;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use arrayvec::ArrayVec;
 use nix::cmsg_space;
@@ -18,6 +17,7 @@ use nix::sys::socket::{
 use tokio::io::Interest;
 use tokio::net::UdpSocket;
 
+use super::until;
 use crate::pnet::endpoint::client::{Arep, Client, EndpointId, Undelivered};
 use crate::pnet::wire::MAX_DATAGRAM;
 
@@ -71,13 +71,14 @@ impl ClientNode {
                 return Ok(finished);
             }
             let timeout = self.client.next_timeout();
+            let timeout = timeout.and_then(|timeout| self.started.checked_add(timeout));
             tokio::select! {
                 ready = self.socket.ready(Interest::READABLE | Interest::ERROR) => {
                     ready?;
                     self.receive();
                     self.take_reports();
                 }
-                () = until(self.started, timeout) => {
+                () = until(timeout.map(Into::into)) => {
                     // An answer may have come in time, and not been looked at yet.
                     self.receive();
                     self.take_reports();
@@ -188,13 +189,6 @@ fn report(
 fn socket_address(address: &SockaddrStorage) -> Option<SocketAddr> {
     let v4 = address.as_sockaddr_in().map(|v4| SocketAddr::V4((*v4).into()));
     v4.or_else(|| address.as_sockaddr_in6().map(|v6| SocketAddr::V6((*v6).into())))
-}
-
-async fn until(started: Instant, time: Option<Duration>) {
-    match time.and_then(|time| started.checked_add(time)) {
-        Some(time) => tokio::time::sleep_until(time.into()).await,
-        None => future::pending().await,
-    }
 }
 
 #[cfg(test)]

@@ -58,5 +58,13 @@ pub use counts::NodeCounts;
 pub use faults::{Faults, NotAShare, Share};
 pub use node::{NodeError, NodeSettings, ServerNode};
 
+/// Waits until this time, or for ever.
+pub(crate) async fn until(time: Option<tokio::time::Instant>) {
+    match time {
+        Some(time) => tokio::time::sleep_until(time).await,
+        None => std::future::pending().await,
+    }
+}
+
 #[cfg(test)]
 mod tests;

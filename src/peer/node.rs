@@ -6,7 +6,6 @@
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
-use std::future;
 use std::io;
 use std::net::{Ipv4Addr, SocketAddr, SocketAddrV4};
 use std::sync::Arc;
@@ -18,6 +17,7 @@ use tokio::time::Instant;
 
 use super::counts::NodeCounts;
 use super::faults::{Fate, Faults};
+use super::until;
 use crate::listen::{self, ListenError};
 use crate::pnet::endpoint::{Port, Requester, Server, Service};
 use crate::pnet::ip_net_table::{Fields, IllegalTable, IpNetTable, Nettype};
@@ -128,7 +128,7 @@ impl Sockets {
 #[derive(PartialEq, Eq, PartialOrd, Ord)]
 struct Waiting {
     due: Instant,
-    is_secure: bool,
+    port: Port,
     to: SocketAddrV4,
     octets: ArrayVec<u8, MAX_DATAGRAM>,
 }
@@ -230,7 +230,7 @@ impl ServerNode {
         for _ in 0..copies {
             self.waiting.push(Reverse(Waiting {
                 due: Instant::now() + delay,
-                is_secure: port == Port::Secure,
+                port,
                 to: requester.address(),
                 octets: response.try_into().expect("a response fits into a datagram"),
             }));
@@ -249,8 +249,7 @@ impl ServerNode {
         while self.waiting.peek().is_some_and(|Reverse(waiting)| waiting.due <= now)
             && let Some(Reverse(waiting)) = self.waiting.pop()
         {
-            let port = if waiting.is_secure { Port::Secure } else { Port::Normal };
-            self.send(port, waiting.to, &waiting.octets, 1).await;
+            self.send(waiting.port, waiting.to, &waiting.octets, 1).await;
         }
     }
 
@@ -273,13 +272,6 @@ fn own_subnet(settings: &NodeSettings) -> (IpNetId, Fields) {
         ..Fields::UNUSED
     };
     (IpNetId::FIRST, fields)
-}
-
-async fn until(time: Option<Instant>) {
-    match time {
-        Some(time) => tokio::time::sleep_until(time).await,
-        None => future::pending().await,
-    }
 }
 
 fn bind(address: Ipv4Addr, port: &mut u16) -> Result<UdpSocket, ListenError> {

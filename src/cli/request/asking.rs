@@ -2,7 +2,7 @@
 
 use std::net::SocketAddr;
 use std::process::ExitCode;
-use std::{future, io, mem};
+use std::{io, mem};
 
 use tokio::time::Instant;
 
@@ -12,7 +12,7 @@ use super::{Args, Octets, bad_use};
 use crate::cli::output::{Out, out};
 use crate::cli::progress::{ProgressLine, bar};
 use crate::cli::signals::Signals;
-use crate::peer::ClientNode;
+use crate::peer::{ClientNode, until};
 use crate::pnet::endpoint::client::{
     Attributes, DestinationRoute, EndpointId, FlatAddressing, Request, RequestError, RouteEndpoint,
 };
@@ -187,12 +187,5 @@ impl<'a> Asking<'a> {
             all.summary(None).print(format, &mut self.out)?;
         }
         Ok(if is_good { ExitCode::SUCCESS } else { ExitCode::FAILURE })
-    }
-}
-
-async fn until(time: Option<Instant>) {
-    match time {
-        Some(time) => tokio::time::sleep_until(time).await,
-        None => future::pending().await,
     }
 }

@@ -77,10 +77,9 @@ impl Core {
     /// more, and reports senders whose throttling is over. To be called about once a second. Each
     /// call does a part of the work; true means that it should be called again at once.
     pub fn expire(&mut self, now: Instant, effects: &mut impl Effects) -> bool {
-        let nanos = self.nanos(now);
-        let more = self.end_left(nanos, effects);
-        self.close_left(now, effects);
-        let now = nanos;
+        let now = self.nanos(now);
+        let more = self.end_left(now, effects);
+        self.close_sockets_left(effects);
         if self.upstreams.expire(now, effects) || more {
             return true;
         }
@@ -135,8 +134,13 @@ impl Core {
     /// more. True while others still wait.
     pub fn close_left(&mut self, now: Instant, effects: &mut impl Effects) -> bool {
         self.end_left(self.nanos(now), effects);
+        self.close_sockets_left(effects)
+    }
+
+    /// Closes those of them that no flow is on. True while there are others.
+    fn close_sockets_left(&mut self, effects: &mut impl Effects) -> bool {
         if self.going_over.is_some() {
-            return true;
+            return true; // any number of flows may come to them
         }
         let used: BTreeSet<_> =
             self.leaving.iter().map(|&id| self.flows.get(id).upstream).collect();
@@ -146,7 +150,7 @@ impl Core {
     /// Closes some of the flows that wait for no last answer any more. True if there may be others.
     fn end_left(&mut self, now: Nanos, effects: &mut impl Effects) -> bool {
         if self.going_over.is_some() {
-            return false; // any number of flows may come to them
+            return false;
         }
         let mut ended = Vec::new();
         let flows = &self.flows;

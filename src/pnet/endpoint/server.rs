@@ -12,7 +12,7 @@ use crate::pnet::wire::{
 };
 
 /// The port that a datagram came to (R-1, R-2, PAS 7).
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Port {
     /// It takes packages with and without a password.
     Normal,
