@@ -7,12 +7,13 @@
 //!
 //! | feature | what it adds |
 //! |---|---|
-//! | none | [`pnet`]: the protocol, without I/O and with few dependencies |
+//! | none | [`pnet`] and [`profinet`]: the protocols, without I/O and with few dependencies |
 //! | `relay` | the NAT, its sockets, its configuration, and what is told of it |
 //! | `peer` | a client and a server node on tokio's sockets |
 //! | `cli` | the program |
 
 pub mod pnet;
+pub mod profinet;
 
 #[cfg(any(feature = "relay", feature = "peer"))]
 pub mod listen;
