@@ -74,7 +74,7 @@ fn requests(group: &mut Group) {
                 let flow = turn.next();
                 let mut octets = octets[usize::from(flow.node_address)];
                 let arrival = flow.arrival();
-                rig.core.request(rig.now, &arrival, &mut octets, &mut rig.effects).unwrap()
+                rig.request(&arrival, &mut octets).unwrap()
             });
         });
     }
@@ -89,7 +89,7 @@ fn responses(group: &mut Group) {
             bencher.iter(|| {
                 let flow = turn.next();
                 let mut octets = octets[usize::from(flow.node_address)];
-                rig.core.response(rig.now, flow.to.via, flow.to.server, &mut octets).unwrap()
+                rig.response(flow.to.via, flow.to.server, &mut octets).unwrap()
             });
         });
     }
@@ -104,7 +104,7 @@ fn drops(group: &mut Group) {
     group.bench_function("wrong password from open flows", |bencher| {
         bencher.iter(|| {
             let arrival = arrival(turn.next().client, 1);
-            let verdict = rig.core.request(rig.now, &arrival, &mut { wrong }, &mut rig.effects);
+            let verdict = rig.request(&arrival, &mut { wrong });
             assert_eq!(verdict, Err(DropReason::PasswordWrong));
         });
     });
@@ -113,16 +113,16 @@ fn drops(group: &mut Group) {
         bencher.iter(|| {
             number = (number + 1) % 3_000_000;
             let arrival = arrival(client_endpoint(1_000_000 + number), 1);
-            rig.core.request(rig.now, &arrival, &mut { wrong }, &mut rig.effects).is_err()
+            rig.request(&arrival, &mut { wrong }).is_err()
         });
     });
     group.bench_function("wrong password from a throttled sender", |bencher| {
         let arrival = arrival(client_endpoint(4_000_000), 1);
         for _ in 0..11 {
-            let _ = rig.core.request(rig.now, &arrival, &mut { wrong }, &mut rig.effects);
+            let _ = rig.request(&arrival, &mut { wrong });
         }
         bencher.iter(|| {
-            let verdict = rig.core.request(rig.now, &arrival, &mut { wrong }, &mut rig.effects);
+            let verdict = rig.request(&arrival, &mut { wrong });
             assert_eq!(verdict, Err(DropReason::Throttled));
         });
     });
@@ -131,7 +131,7 @@ fn drops(group: &mut Group) {
     group.bench_function("garbage behind a good header", |bencher| {
         bencher.iter(|| {
             let octets = garbage.next();
-            rig.core.request(rig.now, &outside, octets, &mut rig.effects).is_err()
+            rig.request(&outside, octets).is_err()
         });
     });
 }
@@ -149,7 +149,7 @@ fn sources(group: &mut Group) {
                 let stranger = Ipv4Addr::from_bits(0x0a00_0001 + 4 * random.u32(..networks));
                 let arrival = arrival((stranger, 7).into(), 1);
                 let mut octets = request(1);
-                let verdict = rig.core.request(rig.now, &arrival, &mut octets, &mut rig.effects);
+                let verdict = rig.request(&arrival, &mut octets);
                 assert_eq!(verdict, Err(DropReason::SourceNotAllowed));
             });
         });

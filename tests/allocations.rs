@@ -10,7 +10,7 @@ use std::cell::Cell;
 use std::net::{Ipv4Addr, SocketAddr};
 use std::time::Duration;
 
-use pnet_nat::nat::{Arrival, DropReason, RequestRate};
+use pnet_nat::nat::{Arrival, DropReason, Payload, RequestRate};
 use pnet_nat::pnet::endpoint::client::{
     Arep, Attributes, Client, DestinationRoute, Outcome, Request, Source, Undelivered, Way,
 };
@@ -197,8 +197,41 @@ fn a_dropped_request_costs_no_allocation() {
     });
     seen.push(limit);
 
+    let mut rig = Rig::new(&Site { is_remote: true, ..Site::default() });
+    let unexpected = DropReason::PasswordUnexpected;
+    without_allocating(|| {
+        (0..TIMES).for_each(|_| expect_drop(&mut rig, &arrival, &octets, unexpected));
+    });
+    seen.push(unexpected);
+
     let left_out = DropReason::REQUEST.iter().filter(|reason| !seen.contains(reason));
     assert!(left_out.eq([&DropReason::SendFailed]), "the core does not send");
+}
+
+/// A password is put on in the room behind the request, and is taken off the answer.
+#[test]
+fn an_exchange_with_another_plant_costs_no_allocation() {
+    let mut rig = Rig::new(&Site { is_remote: true, ..Site::default() });
+    let arrival = arrival(client_endpoint(0), 1);
+    let (asked, answer) = (request(1), response(1, PASSWORD));
+    let len = asked.len() - PASSWORD.len();
+    let mut room = asked;
+    let to = rig
+        .core
+        .request(rig.now, &arrival, &mut Payload::new(&mut room, len), &mut rig.effects)
+        .unwrap();
+    without_allocating(|| {
+        for _ in 0..TIMES {
+            let (mut room, mut back) = (asked, answer);
+            room[len..].fill(0);
+            let mut payload = Payload::new(&mut room, len);
+            rig.core.request(rig.now, &arrival, &mut payload, &mut rig.effects).unwrap();
+            assert_eq!(*payload, asked);
+            let mut payload = Payload::from(&mut back[..]);
+            rig.core.response(rig.now, to.via, to.server, &mut payload).unwrap();
+            assert_eq!(*payload, answer[..answer.len() - PASSWORD.len()]);
+        }
+    });
 }
 
 /// Memory for senders of wrong passwords is there from the start, however many they are.
@@ -211,7 +244,7 @@ fn a_million_guessers_cost_no_allocation() {
         for number in 0..1_000_000 {
             rig.now += Duration::from_micros(100);
             for arrival in [arrival(client_endpoint(number), 1), throttled] {
-                let verdict = rig.core.request(rig.now, &arrival, &mut { wrong }, &mut rig.effects);
+                let verdict = rig.request(&arrival, &mut { wrong });
                 assert!(verdict.is_err());
             }
             if number % 10_000 == 0 {
@@ -256,7 +289,7 @@ fn a_dropped_response_costs_no_allocation() {
         let mut octets = octets.clone();
         without_allocating(|| {
             for _ in 0..TIMES {
-                let verdict = rig.core.response(rig.now, via, *from, &mut octets);
+                let verdict = rig.response(via, *from, &mut octets);
                 assert_eq!(verdict.err(), Some(*reason));
             }
         });
@@ -278,12 +311,11 @@ fn garbage_costs_no_allocation() {
         let clients = ["192.0.2.1:7".parse().unwrap(), client_endpoint(1), client_endpoint(0)];
         without_allocating(|| {
             for client in clients {
-                let verdict =
-                    rig.core.request(rig.now, &arrival(client, 1), &mut octets, &mut rig.effects);
+                let verdict = rig.request(&arrival(client, 1), &mut octets);
                 assert!(verdict.is_err());
             }
             for from in [server(1), server(2)] {
-                assert!(rig.core.response(rig.now, via, from, &mut octets).is_err());
+                assert!(rig.response(via, from, &mut octets).is_err());
             }
         });
     }
@@ -297,7 +329,7 @@ fn a_flow_that_comes_back_costs_no_allocation() {
     rig.core.shut_down(rig.now, &mut rig.effects);
     let (arrival, mut octets) = (arrival(client_endpoint(0), 1), request(1));
     without_allocating(|| {
-        rig.core.request(rig.now, &arrival, &mut octets, &mut rig.effects).unwrap();
+        rig.request(&arrival, &mut octets).unwrap();
     });
 }
 
@@ -363,9 +395,9 @@ fn memory_of_100_000_flows() {
 }
 
 fn exchange(rig: &mut Rig, flow: &Flow, asked: &mut [u8], answer: &mut [u8]) {
-    let to = rig.core.request(rig.now, &flow.arrival(), asked, &mut rig.effects).unwrap();
+    let to = rig.request(&flow.arrival(), asked).unwrap();
     assert_eq!(to, flow.to);
-    let back = rig.core.response(rig.now, to.via, to.server, answer).unwrap();
+    let back = rig.response(to.via, to.server, answer).unwrap();
     assert_eq!(back.client, flow.client);
 }
 
@@ -374,7 +406,7 @@ fn expect_drop(rig: &mut Rig, arrival: &Arrival, octets: &[u8], reason: DropReas
     let mut copy = [0; 120];
     let copy = &mut copy[..octets.len()];
     copy.copy_from_slice(octets);
-    let verdict = rig.core.request(rig.now, arrival, copy, &mut rig.effects);
+    let verdict = rig.request(arrival, copy);
     assert_eq!(verdict, Err(reason));
     assert_eq!(copy, octets);
 }

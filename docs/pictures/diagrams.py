@@ -47,7 +47,8 @@ CHECKS = (
         ("bad_route", "a route of one of the five formats?"),
         ("bad_length", "as long as it says?"),
         ("route_format", "a format that IP carries?"),
-        ("password_missing", "has a password?"))),
+        ("password_missing", "has a password?"),
+        ("password_unexpected", "or none, in a remote net?"))),
     ("The sender, without a flow of its own", (
         ("loop", "not from the relay's own port?"),
         ("unanswerable", "can an answer reach it?"),

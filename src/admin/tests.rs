@@ -369,7 +369,7 @@ fn nets_show_what_was_counted() {
         nodes,
         json!([
             {
-                "node": 1, "public_port": 40001, "server": "172.17.17.1:34379",
+                "node": 1, "local_address": null, "public_port": 40001, "server": "172.17.17.1:34379",
                 "request": {
                     "received_datagrams": 10, "forwarded_datagrams": 8, "forwarded_bytes": 160,
                     "dropped_datagrams": { "throttled": 2 },
@@ -384,7 +384,7 @@ fn nets_show_what_was_counted() {
                 ],
             },
             {
-                "node": 33, "public_port": 40033, "server": "172.17.17.33:34379",
+                "node": 33, "local_address": null, "public_port": 40033, "server": "172.17.17.33:34379",
                 "request": nothing, "response": nothing, "state": "never_asked",
                 "last_request_age_seconds": null, "last_response_age_seconds": null,
                 "response_time_mean_seconds": null, "response_time_median_seconds": null,

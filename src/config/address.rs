@@ -46,6 +46,20 @@ pub(super) fn listener(entry: &Entry<'_>) -> Option<IpAddr> {
 const LINK_LOCAL_LISTENER: &str =
     "name another address of the interface, or \"::\", which includes link-local addresses";
 
+/// The address of a host, IPv4 or IPv6.
+pub(super) fn address(entry: &Entry<'_>) -> Option<IpAddr> {
+    let text = entry.text()?;
+    if let Ok(address) = text.parse::<IpAddr>() {
+        return Some(address.to_canonical());
+    }
+    let remedy = match text.parse::<SocketAddr>() {
+        Ok(endpoint) => format!("write it without the port: \"{}\"", endpoint.ip()),
+        Err(_) => not_a_name(text) + &entry.like(),
+    };
+    entry.fault(format!("{} cannot be read: not an IP address", quoted(text)), remedy);
+    None
+}
+
 /// An address and a port.
 pub(super) fn endpoint(entry: &Entry<'_>) -> Option<SocketAddr> {
     let text = entry.text()?;

@@ -24,7 +24,7 @@ pub struct Changes {
     pub mappings_added: Vec<String>,
     /// Nodes, by net.
     pub mappings_removed: Vec<String>,
-    /// Nodes with another public port or server, by net.
+    /// Nodes with another address, public port or server, by net.
     pub mappings_changed: Vec<String>,
     /// By net and name: "section-1: service".
     pub credentials_added: Vec<String>,
@@ -142,7 +142,8 @@ fn same_rules(old: &&Net, new: &&Net) -> bool {
 }
 
 fn same_way(old: &Mapping, new: &Mapping) -> bool {
-    (old.public_port, old.server) == (new.public_port, new.server)
+    (old.local_address, old.public_port, old.server)
+        == (new.local_address, new.public_port, new.server)
 }
 
 fn same_passwords(old: &Credential, new: &Credential) -> bool {

@@ -1,8 +1,9 @@
-//! The passwords of a net: `[[udp_range_net.password]]` and `[[server.password]]`.
+//! The passwords of a net: `[[udp_range_net.password]]`, `[[server.password]]` and
+//! `[[remote_net.password]]`.
 
 use std::collections::{HashMap, HashSet};
 
-use crate::nat::Credential;
+use crate::nat::{Credential, NetKind};
 
 use super::guessable;
 use super::name::name;
@@ -10,20 +11,24 @@ use super::secret::{device_password_file, make_password, password_file, path_of}
 use super::toml_table::{Entry, Section};
 
 /// The credentials of a net: at least one, unless it allows requests without a password.
-pub(super) fn credentials(entry: &Entry<'_>, allow_without_password: bool) -> Vec<Credential> {
+pub(super) fn credentials(
+    entry: &Entry<'_>,
+    kind: NetKind,
+    allow_without_password: bool,
+) -> Vec<Credential> {
     let Some(sections) = entry.sections() else { return Vec::new() };
     if sections.is_empty() && !allow_without_password {
         // A4, PAS 7
         let net = entry.place.key.split(['[', '.']).next().unwrap_or_default();
+        let or = if kind.is_remote() { "" } else { ", or `allow_without_password = true`" };
+        let who = if kind.is_remote() { "the other plant's router needs" } else { "clients need" };
         entry.fault(
-            "missing: clients need a password",
-            format!(
-                "add [[{net}.password]] with `name` and `file`, or `allow_without_password = true`"
-            ),
+            format!("missing: {who} a password"),
+            format!("add [[{net}.password]] with `name` and `file`{or}"),
         );
     }
     let mut names = HashSet::new();
-    let read = sections.into_iter().filter_map(|section| credential(section, &mut names));
+    let read = sections.into_iter().filter_map(|section| credential(section, kind, &mut names));
     let (files, credentials): (Vec<Entry<'_>>, Vec<Credential>) = read.unzip();
     refuse_shared(&files, &credentials);
     credentials
@@ -31,11 +36,13 @@ pub(super) fn credentials(entry: &Entry<'_>, allow_without_password: bool) -> Ve
 
 fn credential<'a>(
     mut section: Section<'a>,
+    kind: NetKind,
     names: &mut HashSet<String>,
 ) -> Option<(Entry<'a>, Credential)> {
     let name_entry = section.key("name", "\"service\"").required();
     let file = section.key("file", "\"secrets/section-1\"").required();
-    let device_file = section.key("device_file", "\"secrets/device\"");
+    // A remote net has one password for both ways.
+    let device_file = (!kind.is_remote()).then(|| section.key("device_file", "\"secrets/device\""));
     section.finish();
 
     let name = name(&name_entry).unwrap_or_default();
@@ -43,7 +50,7 @@ fn credential<'a>(
         name_entry
             .fault(format!("{name:?} is already a password of this net"), "give each its own name");
     }
-    let device_password = device_password_file(&device_file);
+    let device_password = device_file.and_then(|file| device_password_file(&file));
     let password = password_file(&file)?;
     if let Some(weakness) = guessable::weakness(&password) {
         file.warn(

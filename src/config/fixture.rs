@@ -80,5 +80,5 @@ fn credentials() -> Vec<Credential> {
 
 fn mapping(net: NetId, node_address: u8, public_port: u16, server: [u8; 4]) -> Mapping {
     let server = SocketAddr::new(IpAddr::from(server), 34379);
-    Mapping { net, node_address, public_port, server }
+    Mapping { net, node_address, local_address: None, public_port, server }
 }

@@ -4,6 +4,7 @@
 //! To find out, a UDP socket is connected. That sends nothing, but gives the socket the source address
 //! that the kernel would use. The confinement allows no other way to ask. Loopback is never asked about.
 
+use std::collections::HashSet;
 use std::io;
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, UdpSocket};
 
@@ -58,8 +59,9 @@ pub(super) fn check(
     let is_served = |server: &&SocketAddr| {
         in_force.is_some_and(|table| table.mapping_of_server(**server).is_some())
     };
-    let public_ports: std::collections::HashSet<u16> =
-        drafts.iter().flat_map(|draft| draft.public_ports.values.iter().copied()).collect();
+    let public = drafts.iter().flat_map(|draft| &draft.public_ports.values);
+    let everywhere = public.filter(|public| public.address.is_none());
+    let public_ports: HashSet<u16> = everywhere.map(|public| public.port).collect();
     for draft in drafts {
         let mut new = draft.servers.values.iter().filter(|server| !is_served(server)).peekable();
         // All servers of a net are in one subnet, and so have one route.

@@ -27,6 +27,7 @@ mod node_range;
 mod odd;
 mod overlap;
 mod peek;
+mod remote_net;
 mod report;
 mod restart;
 mod secret;
@@ -48,7 +49,7 @@ use crate::nat::{Mapping, NetId, Table};
 use crate::pnet::wire::Header;
 
 use host::{Host, ThisHost};
-use net::Draft;
+use net::{Draft, PublicPort};
 use report::Report;
 use toml_table::Section;
 
@@ -112,10 +113,11 @@ fn read_document<T>(
 /// The configuration; none when there was a fault.
 fn read(mut root: Section<'_>, host: &dyn Host, in_force: Option<&Table>) -> Option<Config> {
     let (place, report) = (root.place.clone(), root.report);
-    let listeners = sections::public(root.key("public", "").section());
+    let public = root.key("public", "");
     let header = sections::protocol(root.key("protocol", "").section());
     let ranges = root.key("udp_range_net", "").sections();
     let servers = root.key("server", "").sections();
+    let remote_nets = root.key("remote_net", "").sections();
     let limits = sections::limits(root.key("limits", "").section());
     let datapath = sections::datapath(root.key("datapath", "").section());
     let log = sections::log(root.key("log", "").section());
@@ -123,13 +125,20 @@ fn read(mut root: Section<'_>, host: &dyn Host, in_force: Option<&Table>) -> Opt
     let admin = sections::admin(root.key("admin", "").section());
     root.finish();
 
-    if let (Some([]), Some([])) = (ranges.as_deref(), servers.as_deref()) {
-        let remedy = "add a [[udp_range_net]] or a [[server]]";
+    let is_empty = |nets: &Option<Vec<_>>| nets.as_ref().is_some_and(Vec::is_empty);
+    let has_remote_nets = !is_empty(&remote_nets);
+    if !has_remote_nets && is_empty(&ranges) && is_empty(&servers) {
+        let remedy = "add a [[udp_range_net]], a [[server]] or a [[remote_net]]";
         report.fault(&place, "there is nothing to relay".into(), remedy.into());
     }
     let ranges = ranges.into_iter().flatten().map(net::udp_range_net);
     let servers = servers.into_iter().flatten().map(net::server);
-    let drafts: Vec<Draft<'_>> = ranges.chain(servers).collect();
+    let mut drafts: Vec<Draft<'_>> = ranges.chain(servers).collect();
+    let listeners = match drafts.is_empty() && public.is_absent() && has_remote_nets {
+        true => Vec::new(), // nobody comes from outside
+        false => sections::public(public.section()),
+    };
+    drafts.extend(remote_nets.into_iter().flatten().map(remote_net::remote_net));
     let listen: Vec<IpAddr> = listeners.iter().map(|(_, address)| *address).collect();
     overlap::refuse_overlaps(&drafts, &listen);
     overlap::warn_of_deaf_listeners(&drafts, &listeners);
@@ -145,10 +154,11 @@ fn table(header: Header, drafts: Vec<Draft<'_>>) -> Table {
     let (mut nets, mut mappings) = (Vec::new(), Vec::new());
     for (id, draft) in (0..).map(NetId).zip(drafts) {
         let endpoints = draft.public_ports.values.into_iter().zip(draft.servers.values);
-        let mapping = |(node_address, (public_port, server))| Mapping {
+        let mapping = |(node_address, (public, server)): (u8, (PublicPort, _))| Mapping {
             net: id,
             node_address,
-            public_port,
+            local_address: public.address,
+            public_port: public.port,
             server,
         };
         mappings.extend(draft.nodes.into_iter().zip(endpoints).map(mapping));

@@ -8,14 +8,15 @@ use std::str::FromStr;
 use std::sync::Arc;
 use std::time::Duration;
 
-use crate::nat::{Limits, Table};
+use crate::nat::{Limits, Mapping, Table};
 
 use super::token::Token;
 
 /// A sound configuration.
 #[derive(Clone, Debug)]
 pub struct Config {
-    /// Local addresses on the Internet side; each public port listens on every one of them.
+    /// Local addresses on the Internet side; each public port listens on every one of them. None when
+    /// all nets are remote.
     pub listen: Vec<IpAddr>,
     /// The NAT table.
     pub table: Arc<Table>,
@@ -31,6 +32,13 @@ pub struct Config {
     pub admin: Option<Admin>,
     /// The files that it was read from: the configuration file, and the files with passwords and tokens.
     pub files: Vec<PathBuf>,
+}
+
+impl Config {
+    /// The addresses at which clients reach a mapping.
+    pub fn addresses_of<'a>(&'a self, mapping: &'a Mapping) -> &'a [IpAddr] {
+        mapping.local_address.as_ref().map_or(&self.listen, std::slice::from_ref)
+    }
 }
 
 /// How the process runs.

@@ -1,10 +1,12 @@
-//! One net of the NAT table: a `[[udp_range_net]]` or a `[[server]]`, with the rules they share.
+//! One net of the NAT table: a `[[udp_range_net]]` or a `[[server]]`, with the rules that all nets share.
 //!
 //! A net with faults is still a [`Draft`] of all that could be read, so that the nets can be compared
 //! with each other.
 
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::time::Duration;
+
+use ipnet::IpNet;
 
 use crate::nat::{Net, NetKind, RequestRate};
 use crate::pnet::wire::{BNA, LAST_NODE, LAST_START_PORT, NORMAL_PORT, SECURE_PORT, SNA};
@@ -25,6 +27,14 @@ const FIRST_UNPRIVILEGED_PORT: u16 = 1024;
 /// More flows would take hundreds of megabytes.
 pub(super) const MOST_FLOWS: u32 = 1_000_000;
 
+/// Where clients reach a node.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub(super) struct PublicPort {
+    /// The one address; none: every address of `[public] listen`.
+    pub(super) address: Option<IpAddr>,
+    pub(super) port: u16,
+}
+
 /// What no other net may have: public ports or servers, and the key that they come from.
 #[derive(Debug)]
 pub(super) struct Claim<'a, T> {
@@ -40,7 +50,7 @@ pub(super) struct Draft<'a> {
     pub(super) name: Entry<'a>,
     pub(super) net: Net,
     pub(super) nodes: Vec<u8>,
-    pub(super) public_ports: Claim<'a, u16>,
+    pub(super) public_ports: Claim<'a, PublicPort>,
     pub(super) servers: Claim<'a, SocketAddr>,
     pub(super) allowed: Allowed<'a>,
     /// The servers may be reached by a gateway, even by the one towards the Internet.
@@ -67,8 +77,33 @@ impl Draft<'_> {
             NetKind::UdpRange { start_port } => {
                 BROADCASTS.iter().filter_map(|node| start_port.checked_add(*node)).collect()
             }
-            NetKind::Server => Vec::new(),
+            NetKind::Server | NetKind::Remote { .. } => Vec::new(),
         }
+    }
+}
+
+impl PublicPort {
+    /// A port at every address of `[public] listen`.
+    fn everywhere(port: u16) -> Self {
+        Self { address: None, port }
+    }
+}
+
+/// The rules of a net, and the networks of its `allow` with their places in the file.
+pub(super) struct Rules<'a> {
+    pub(super) net: Net,
+    pub(super) networks: Vec<(Entry<'a>, IpNet)>,
+}
+
+impl<'a> Allowed<'a> {
+    fn of(networks: Vec<(Entry<'a>, IpNet)>) -> Self {
+        let mut allowed = Self::default();
+        for (entry, network) in networks {
+            let first =
+                if network.addr().is_ipv4() { &mut allowed.ipv4 } else { &mut allowed.ipv6 };
+            first.get_or_insert(entry);
+        }
+        allowed
     }
 }
 
@@ -88,11 +123,13 @@ pub(super) fn udp_range_net(mut section: Section<'_>) -> Draft<'_> {
     let server_port = server_port.unwrap_or(SECURE_PORT);
     let kind = NetKind::UdpRange { start_port: start_port.unwrap_or_default() };
     let beyond = section.key("servers_beyond_gateway", "true");
-    let (net, allowed) = rules(&mut section, &name, kind);
+    let Rules { net, networks } = rules(&mut section, &name, kind);
     section.finish();
 
-    let public_ports = start_port
-        .map(|start| nodes.iter().map(|&node| start + u16::from(node)).collect::<Vec<_>>());
+    let allowed = Allowed::of(networks);
+    let public_ports = start_port.map(|start| {
+        nodes.iter().map(|&node| PublicPort::everywhere(start + u16::from(node))).collect()
+    });
     let servers = subnet.map(|[a, b, c, _]| {
         let server = |&node: &u8| SocketAddr::from(([a, b, c, node], server_port));
         nodes.iter().map(server).collect()
@@ -115,8 +152,10 @@ pub(super) fn server(mut section: Section<'_>) -> Draft<'_> {
     let node_entry = section.key("node", "7").required();
     let node = node_entry.integer(1..=LAST_NODE);
     let beyond = section.key("servers_beyond_gateway", "true");
-    let (net, allowed) = rules(&mut section, &name, NetKind::Server);
+    let Rules { net, networks } = rules(&mut section, &name, NetKind::Server);
     section.finish();
+
+    let allowed = Allowed::of(networks);
 
     if let (Some(port), Some(node)) = (port, node) {
         warn_of_unreachable(&port_entry, port, node);
@@ -124,7 +163,8 @@ pub(super) fn server(mut section: Section<'_>) -> Draft<'_> {
     if let Some(address) = address {
         check_server_address(&address_entry, address, node);
     }
-    let public_ports = Claim { entry: port_entry, values: port.into_iter().collect() };
+    let public_ports =
+        Claim { entry: port_entry, values: port.map(PublicPort::everywhere).into_iter().collect() };
     warn_of_privileged_ports(&public_ports);
     let servers = Claim { entry: address_entry, values: address.into_iter().collect() };
     let nodes = node.into_iter().collect();
@@ -132,36 +172,28 @@ pub(super) fn server(mut section: Section<'_>) -> Draft<'_> {
     Draft { place, name, net, nodes, public_ports, servers, allowed, servers_beyond_gateway }
 }
 
-/// The keys that ranges and single servers share.
-fn rules<'a>(section: &mut Section<'a>, name: &Entry<'_>, kind: NetKind) -> (Net, Allowed<'a>) {
+/// The keys that all nets share.
+pub(super) fn rules<'a>(section: &mut Section<'a>, name: &Entry<'_>, kind: NetKind) -> Rules<'a> {
     let allow = section.key("allow", "[\"198.51.100.0/24\"]").required();
     let idle_timeout = section.key("idle_timeout", "\"5m\"");
     let max_flows = section.key("max_flows", "4096");
     let max_requests = section.key("max_requests_per_second", "200");
     let max_flow_requests = section.key("max_flow_requests_per_second", "20");
     let require_response_password = section.key("require_response_password", "false");
-    let without_password = section.key("allow_without_password", "false");
-    let allow_without_password = without_password.boolean().unwrap_or(false);
+    // What a remote net sends has a password always, and there is one for both ends.
+    let is_remote = kind.is_remote();
+    let allow_without_password = !is_remote && allow_without_password(section);
     let passwords = section.key("password", "");
-    if allow_without_password {
-        without_password.warn(
-            "requests without a password reach the plant, which PAS 7 forbids",
-            "use it only while no client can send one, and keep `allow` narrow",
-        );
-    }
-    let mut allowed = Allowed::default();
-    let mut networks = Vec::new();
-    for element in allow.list() {
-        let Some(network) = network(&element) else { continue };
-        let first = if network.addr().is_ipv4() { &mut allowed.ipv4 } else { &mut allowed.ipv6 };
-        first.get_or_insert(element);
-        networks.push(network);
-    }
+    let networks = allow.list().into_iter().filter_map(|element| {
+        let network = network(&element)?;
+        Some((element, network))
+    });
+    let networks: Vec<_> = networks.collect();
     let net = Net {
         name: super::name::name(name).unwrap_or_default(),
         kind,
-        allow: networks,
-        credentials: credentials(&passwords, allow_without_password),
+        allow: networks.iter().map(|(_, network)| *network).collect(),
+        credentials: credentials(&passwords, kind, allow_without_password),
         allow_without_password,
         require_response_password: require_response_password.boolean().unwrap_or(false),
         idle_timeout: self::idle_timeout(&idle_timeout),
@@ -169,14 +201,26 @@ fn rules<'a>(section: &mut Section<'a>, name: &Entry<'_>, kind: NetKind) -> (Net
         max_requests: request_rate(&max_requests),
         max_flow_requests: request_rate(&max_flow_requests),
     };
-    (net, allowed)
+    Rules { net, networks }
+}
+
+fn allow_without_password(section: &mut Section<'_>) -> bool {
+    let entry = section.key("allow_without_password", "false");
+    let allow = entry.boolean().unwrap_or(false);
+    if allow {
+        entry.warn(
+            "requests without a password reach the plant, which PAS 7 forbids",
+            "use it only while no client can send one, and keep `allow` narrow",
+        );
+    }
+    allow
 }
 
 fn request_rate(entry: &Entry<'_>) -> Option<RequestRate> {
     entry.integer(1..=RequestRate::MOST).map(RequestRate::new)
 }
 
-fn start_port(entry: &Entry<'_>) -> Option<u16> {
+pub(super) fn start_port(entry: &Entry<'_>) -> Option<u16> {
     let start_port = entry.integer(1..=u16::MAX)?;
     if start_port > LAST_START_PORT {
         entry.fault(
@@ -195,7 +239,7 @@ fn start_port(entry: &Entry<'_>) -> Option<u16> {
 }
 
 /// the mask is 255.255.255.0.
-fn subnet(entry: &Entry<'_>) -> Option<[u8; 4]> {
+pub(super) fn subnet(entry: &Entry<'_>) -> Option<[u8; 4]> {
     let text = entry.text()?;
     let Ok(subnet) = text.parse::<Ipv4Addr>() else {
         let network = text.split('/').next().unwrap_or(text).parse::<Ipv4Addr>();
@@ -262,8 +306,10 @@ fn refuse_normal_port(entry: &Entry<'_>, port: u16) {
     }
 }
 
-fn warn_of_privileged_ports(ports: &Claim<'_, u16>) {
-    if let Some(port) = ports.values.iter().find(|&&port| port < FIRST_UNPRIVILEGED_PORT) {
+fn warn_of_privileged_ports(ports: &Claim<'_, PublicPort>) {
+    if let Some(PublicPort { port, .. }) =
+        ports.values.iter().find(|public| public.port < FIRST_UNPRIVILEGED_PORT)
+    {
         ports.entry.warn(
             format!("public port {port} is below {FIRST_UNPRIVILEGED_PORT}"),
             "run pnet-nat with CAP_NET_BIND_SERVICE, or choose higher ports",

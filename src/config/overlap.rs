@@ -1,13 +1,12 @@
 //! What nets must not share: names, public ports, servers, and the ports of broadcasts. And no server may
 //! be the router itself.
 
-use std::collections::hash_map::Entry as Slot;
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::hash::Hash;
 use std::net::{IpAddr, SocketAddr};
 
 use super::changes::runs;
-use super::net::{Claim, Draft};
+use super::net::{Claim, Draft, PublicPort};
 use super::toml_table::Entry;
 
 /// Reports every conflict between two nets, once for each pair, and every loop.
@@ -31,21 +30,37 @@ fn refuse_shared_names(drafts: &[Draft<'_>]) {
     }
 }
 
+/// A port of every address is shared with the same port of a single one.
 fn refuse_shared_ports(drafts: &[Draft<'_>]) {
-    for ((later, earlier), ports) in shared(drafts, |draft| &draft.public_ports) {
-        drafts[later].public_ports.entry.fault(
-            format!("public port {} belongs to {} too", runs(&ports), drafts[earlier].label()),
-            "move one of the two to free ports",
-        );
+    for ((later, earlier), public) in shared(drafts, |draft| &draft.public_ports) {
+        let ports: Vec<_> = public.iter().map(|public| public.port).collect();
+        let (what, remedy) = match public[0] {
+            PublicPort { address: Some(address), port } if drafts[earlier].net.kind.is_remote() => {
+                (
+                    format!("{}{}", SocketAddr::new(address, port), and_more(&public)),
+                    "give each remote net a local subnet of its own",
+                )
+            }
+            _ => (format!("public port {}", runs(&ports)), "move one of the two to free ports"),
+        };
+        drafts[later]
+            .public_ports
+            .entry
+            .fault(format!("{what} belongs to {} too", drafts[earlier].label()), remedy);
+    }
+}
+
+/// How many more there are than the first.
+fn and_more<T>(values: &[T]) -> String {
+    match values.len() - 1 {
+        0 => String::new(),
+        more => format!(" (and {more} more)"),
     }
 }
 
 fn refuse_shared_servers(drafts: &[Draft<'_>]) {
     for ((later, earlier), servers) in shared(drafts, |draft| &draft.servers) {
-        let more = match servers.len() - 1 {
-            0 => String::new(),
-            more => format!(" (and {more} more)"),
-        };
+        let more = and_more(&servers);
         drafts[later].servers.entry.fault(
             format!("server {}{more} belongs to {} too", servers[0], drafts[earlier].label()),
             "give each server one public port only",
@@ -63,7 +78,7 @@ fn refuse_broadcast_ports(drafts: &[Draft<'_>]) {
     }
     for draft in drafts {
         let mut told = HashSet::new();
-        for port in &draft.public_ports.values {
+        for PublicPort { port, .. } in &draft.public_ports.values {
             let Some(range) = silent.get(port) else { continue };
             if told.insert(&range.place.key) {
                 draft.public_ports.entry.fault(
@@ -76,7 +91,7 @@ fn refuse_broadcast_ports(drafts: &[Draft<'_>]) {
 }
 
 fn refuse_loops(drafts: &[Draft<'_>], listen: &[IpAddr]) {
-    let public_ports: HashSet<u16> =
+    let public: HashSet<PublicPort> =
         drafts.iter().flat_map(|draft| draft.public_ports.values.iter().copied()).collect();
     let own: HashSet<&IpAddr> = listen.iter().collect();
     // Listening on every address includes loopback. Other addresses of this host are not known here.
@@ -84,7 +99,8 @@ fn refuse_loops(drafts: &[Draft<'_>], listen: &[IpAddr]) {
     let is_ours = |server: &SocketAddr| {
         let ip = server.ip();
         let is_here = own.contains(&ip) || everywhere && ip.is_loopback();
-        is_here && public_ports.contains(&server.port())
+        let at = |address| public.contains(&PublicPort { address, port: server.port() });
+        is_here && at(None) || at(Some(ip))
     };
     for draft in drafts {
         if let Some(server) = draft.servers.values.iter().find(|server| is_ours(server)) {
@@ -128,8 +144,57 @@ pub(super) fn warn_of_deaf_listeners(drafts: &[Draft<'_>], listeners: &[(Entry<'
     }
 }
 
+/// What a net may claim.
+trait Claimed: Copy {
+    type Key: Eq + Hash;
+    /// Another claim with one of these keys is in the way of this one.
+    fn clashes(self) -> impl Iterator<Item = Self::Key>;
+    /// Under these keys, later claims find this one.
+    fn keys(self) -> impl Iterator<Item = Self::Key>;
+}
+
+impl Claimed for SocketAddr {
+    type Key = Self;
+
+    fn clashes(self) -> impl Iterator<Item = Self> {
+        [self].into_iter()
+    }
+
+    fn keys(self) -> impl Iterator<Item = Self> {
+        [self].into_iter()
+    }
+}
+
+/// A public port: at every address, at some address, or at this one.
+#[derive(PartialEq, Eq, Hash)]
+enum At {
+    Every(u16),
+    Some(u16),
+    One(IpAddr, u16),
+}
+
+impl Claimed for PublicPort {
+    type Key = At;
+
+    fn clashes(self) -> impl Iterator<Item = At> {
+        let other = match self.address {
+            None => At::Some(self.port),
+            Some(address) => At::One(address, self.port),
+        };
+        [At::Every(self.port), other].into_iter()
+    }
+
+    fn keys(self) -> impl Iterator<Item = At> {
+        match self.address {
+            None => vec![At::Every(self.port)],
+            Some(address) => vec![At::Some(self.port), At::One(address, self.port)],
+        }
+        .into_iter()
+    }
+}
+
 /// What two nets both claim, by (index of the later net, index of the earlier one).
-fn shared<'a, T: Copy + Eq + Hash + 'a>(
+fn shared<'a, T: Claimed + 'a>(
     drafts: &'a [Draft<'a>],
     claim: impl Fn(&'a Draft<'a>) -> &'a Claim<'a, T>,
 ) -> BTreeMap<(usize, usize), Vec<T>> {
@@ -137,9 +202,11 @@ fn shared<'a, T: Copy + Eq + Hash + 'a>(
     let mut shared: BTreeMap<_, Vec<T>> = BTreeMap::new();
     for (index, draft) in drafts.iter().enumerate() {
         for &value in &claim(draft).values {
-            match first.entry(value) {
-                Slot::Vacant(slot) => _ = slot.insert(index),
-                Slot::Occupied(slot) => shared.entry((index, *slot.get())).or_default().push(value),
+            if let Some(&earlier) = value.clashes().find_map(|key| first.get(&key)) {
+                shared.entry((index, earlier)).or_default().push(value);
+            }
+            for key in value.keys() {
+                first.entry(key).or_insert(index);
             }
         }
     }

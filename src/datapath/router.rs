@@ -230,7 +230,7 @@ impl Router {
 
 /// Number of sockets that each worker needs for its public ports.
 pub(in crate::datapath) fn addresses(config: &Config) -> usize {
-    config.table.mappings().len() * config.listen.len()
+    config.table.mappings().iter().map(|mapping| config.addresses_of(mapping).len()).sum()
 }
 
 /// Locks even after a panic: what these locks guard is changed in one step, so it is always whole.

@@ -54,13 +54,14 @@ fn plants(nets: &[Net], mappings: &[Mapping]) -> Vec<IpNet> {
     let plant = |mapping: &Mapping| {
         let server = mapping.server.ip().to_canonical();
         match (nets[usize::from(mapping.net.0)].kind, server) {
+            (NetKind::Remote { .. }, _) => None, // its servers are in another plant
             (NetKind::UdpRange { .. }, IpAddr::V4(server)) => {
-                IpNet::V4(Ipv4Net::new_assert(server, SECTION).trunc())
+                Some(IpNet::V4(Ipv4Net::new_assert(server, SECTION).trunc()))
             }
-            (NetKind::UdpRange { .. } | NetKind::Server, server) => IpNet::from(server),
+            (NetKind::UdpRange { .. } | NetKind::Server, server) => Some(IpNet::from(server)),
         }
     };
-    let plants: Vec<_> = mappings.iter().map(plant).collect();
+    let plants: Vec<_> = mappings.iter().filter_map(plant).collect();
     // An entry of `allow` for a section also allows the single servers inside it.
     let is_section = |plant: &IpNet| plant.addr().is_ipv4() && plant.prefix_len() == SECTION;
     let sections: HashSet<IpNet> = plants.iter().copied().filter(is_section).collect();

@@ -1,6 +1,6 @@
 //! A net: its clients, its passwords and its rules; and the server nodes that belong to it.
 
-use std::net::SocketAddr;
+use std::net::{IpAddr, SocketAddr};
 use std::time::Duration;
 
 use ipnet::IpNet;
@@ -10,7 +10,7 @@ use super::gcra::RequestRate;
 use super::ids::NetId;
 use super::protocol::Password;
 
-/// The two kinds of nets.
+/// What a net is to its clients.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum NetKind {
     /// A block of public ports, one for each node: start port + node address (PAS 5.2.6, 8 d).
@@ -20,6 +20,21 @@ pub enum NetKind {
     },
     /// One server outside any range.
     Server,
+    /// Nodes of another plant, for local programs that know neither UDP Range nets nor passwords.
+    /// They find them in an IP Range net here, and send without a password. It is put on the way to
+    /// the other plant's router, and taken off on the way back.
+    Remote {
+        /// UDPPort of the other plant's UDP Range net.
+        start_port: u16,
+    },
+}
+
+impl NetKind {
+    /// Whether clients send without a password, which is put on here.
+    #[inline]
+    pub fn is_remote(self) -> bool {
+        matches!(self, Self::Remote { .. })
+    }
 }
 
 /// One plant section, or one single server: its clients and its rules.
@@ -31,7 +46,8 @@ pub struct Net {
     pub kind: NetKind,
     /// Networks that clients may send from; see [`Table::allows`](super::Table::allows).
     pub allow: Vec<IpNet>,
-    /// The passwords of the net; empty only with `allow_without_password`.
+    /// The passwords of the net; empty only with `allow_without_password`. Requests of a remote net
+    /// get the first one; answers to earlier requests may have the others.
     pub credentials: Vec<Credential>,
     /// Requests without a password pass. PAS 7 forbids it, so it has to be configured.
     pub allow_without_password: bool,
@@ -111,6 +127,9 @@ pub struct Mapping {
     pub net: NetId,
     /// P-NET node address of the server, 1 to [`LAST_NODE`](crate::pnet::wire::LAST_NODE).
     pub node_address: u8,
+    /// The one address of the router to which clients send, in a remote net; none: every address of
+    /// `[public] listen`.
+    pub local_address: Option<IpAddr>,
     /// UDP port of the router to which clients send.
     pub public_port: u16,
     /// The server's address and Secure UDP port.

@@ -52,6 +52,8 @@ pub enum DropReason {
     BadLength,
     /// The request has no password.
     PasswordMissing,
+    /// The request has a password, although the net puts it on itself.
+    PasswordUnexpected,
     /// The request's password is none of the net's passwords.
     PasswordWrong,
     /// The request comes from one of the relay's own upstream sockets: a server's address leads
@@ -93,7 +95,7 @@ impl DropReason {
     ///
     /// Before a flow opens, [`Loop`](Self::Loop) and [`Unanswerable`](Self::Unanswerable) are
     /// checked again, then with the help of the system.
-    pub const REQUEST: [Self; 19] = [
+    pub const REQUEST: [Self; 20] = [
         Self::NotUnicast,
         Self::TooShort,
         Self::TooLong,
@@ -102,6 +104,7 @@ impl DropReason {
         Self::BadLength,
         Self::RouteFormat,
         Self::PasswordMissing,
+        Self::PasswordUnexpected,
         Self::Loop,
         Self::Unanswerable,
         Self::SourceNotAllowed,
@@ -141,6 +144,7 @@ impl DropReason {
             Self::RouteFormat => "route_format",
             Self::BadLength => "bad_length",
             Self::PasswordMissing => "password_missing",
+            Self::PasswordUnexpected => "password_unexpected",
             Self::PasswordWrong => "password_wrong",
             Self::Loop => "loop",
             Self::Unanswerable => "unanswerable",
@@ -168,6 +172,7 @@ impl DropReason {
             Self::RouteFormat => ("route not meant for IP", "routes not meant for IP"),
             Self::BadLength => ("wrong length", "wrong lengths"),
             Self::PasswordMissing => ("missing password", "missing passwords"),
+            Self::PasswordUnexpected => ("unexpected password", "unexpected passwords"),
             Self::PasswordWrong => ("wrong password", "wrong passwords"),
             Self::Loop => ("request in a loop", "requests in a loop"),
             Self::Unanswerable => ("unanswerable request", "unanswerable requests"),
@@ -208,6 +213,9 @@ impl DropReason {
                 "The data-field-format announces another length than the datagram has, or octets trail behind it."
             }
             Self::PasswordMissing => "No password: set UsePW in the client's IPNetTable.",
+            Self::PasswordUnexpected => {
+                "A password in a request to a `[[remote_net]]`, which puts it on itself: clear UsePW in the local program's IPNetTable."
+            }
             Self::PasswordWrong => {
                 "A password that is none of the net's: a mistyped one, or someone who guesses."
             }

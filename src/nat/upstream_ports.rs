@@ -11,7 +11,7 @@
 //! sockets.
 
 use std::collections::HashMap;
-use std::net::{IpAddr, SocketAddr};
+use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 
 use foldhash::fast::SeedableRandomState;
 use slab::Slab;
@@ -39,6 +39,9 @@ const LAST_PROBES: usize = 1024;
 /// How many leases one call drops. Each may close a socket, which costs a system call.
 const AT_ONCE: usize = if cfg!(test) { 2 } else { 64 };
 
+/// Stands for all addresses of remote nets. No client sends to it.
+const UNSPECIFIED: IpAddr = IpAddr::V4(Ipv4Addr::UNSPECIFIED);
+
 /// The client that has a lease, and where the client sends to. So a late answer to a flow that
 /// was closed and opened again still leaves from the right address and port.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -46,6 +49,8 @@ pub(super) struct Owner {
     pub client: SocketAddr,
     pub public_address: IpAddr,
     pub public_port: u16,
+    /// Whether each node has an address of its own here, as in a remote net.
+    pub has_local_address: bool,
 }
 
 /// The upstream sockets of one worker and what each is used for.
@@ -337,8 +342,10 @@ impl Upstreams {
 }
 
 impl Owner {
-    /// What a client's affinity is found by.
+    /// What a client's affinity is found by. A client that asks nodes at different addresses in a
+    /// remote net comes from one port all the same.
     fn affinity(self) -> (SocketAddr, IpAddr) {
-        (self.client, self.public_address)
+        let address = if self.has_local_address { UNSPECIFIED } else { self.public_address };
+        (self.client, address)
     }
 }

@@ -5,6 +5,7 @@
 //! made. Each scenario has a /24 of loopback to itself, so they run side by side. A scenario that
 //! needs what the machine lacks says so and is left out; with `PNET_NAT_TESTS=all` it fails.
 
+mod adapter;
 mod admin;
 mod audit;
 mod bad_input;

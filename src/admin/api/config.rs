@@ -88,7 +88,7 @@ impl<'a> ConfigInForce<'a> {
 pub(super) struct NetRules<'a> {
     name: &'a str,
     kind: &'static str,
-    /// Null for a single server.
+    /// Of a remote net, that of the other plant; null for a single server.
     start_port: Option<u16>,
     allow: &'a [IpNet],
     credentials: Vec<CredentialName<'a>>,
@@ -107,6 +107,7 @@ impl<'a> NetRules<'a> {
         let (kind, start_port) = match net.kind {
             NetKind::UdpRange { start_port } => ("udp_range_net", Some(start_port)),
             NetKind::Server => ("server", None),
+            NetKind::Remote { start_port } => ("remote_net", Some(start_port)),
         };
         Self {
             name: &net.name,
@@ -140,13 +141,15 @@ impl<'a> CredentialName<'a> {
 #[derive(Serialize)]
 pub(super) struct Element {
     pub(super) node: u8,
+    /// The one address at which it is reached, in a remote net; null: all of `[public] listen`.
+    local_address: Option<IpAddr>,
     public_port: u16,
     server: SocketAddr,
 }
 
 impl Element {
     pub(super) fn of(mapping: Mapping) -> Self {
-        let Mapping { node_address, public_port, server, .. } = mapping;
-        Self { node: node_address, public_port, server }
+        let Mapping { node_address, local_address, public_port, server, .. } = mapping;
+        Self { node: node_address, local_address, public_port, server }
     }
 }

@@ -148,7 +148,7 @@ mod tests {
         assert_eq!(
             serde_json::to_value(Flow::of(&table, &record)).unwrap(),
             json!({
-                "net": "section-1", "node": 33, "public_port": 40033,
+                "net": "section-1", "node": 33, "local_address": null, "public_port": 40033,
                 "server": "172.17.17.33:34379", "client": "198.51.100.9:50000",
                 "public_address": "203.0.113.1", "credential": "team-b", "upstream_port": 40999,
                 "age_seconds": 61.5, "idle_seconds": 0.25,

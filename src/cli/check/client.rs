@@ -27,57 +27,66 @@ const EXAMPLE_OWN: Fields = Fields {
 const EXAMPLE_NODE: u8 = 4;
 const EXAMPLE_ROUTER: u8 = 1;
 
+/// A row that leads to a net, as far as the relay knows it.
+struct Row<'a> {
+    net: &'a Net,
+    nettype: Nettype,
+    /// The subnet of a remote net; none: the relay's public address.
+    local_subnet: Option<Ipv4Addr>,
+    udp_port: u16,
+    use_password: bool,
+    /// The node, if the row reaches only this one.
+    only: Option<u8>,
+}
+
 /// PAS 8, Table 4: the row that leads to each net.
 pub(super) fn ip_net_table(config: &Config) -> Table {
     let mut table = plain_table(["Net", "IPAddr", "UDPPort", "UsePW", "Router", "Nettype"]);
     let address = public_address(&config.listen);
-    for (net, udp_port, _) in rows(config) {
+    for row in rows(config) {
         table.add_row([
-            net.name.clone(),
-            address.clone(),
-            udp_port.to_string(),
-            u8::from(uses_password(net)).to_string(),
+            row.net.name.clone(),
+            row.local_subnet.map_or(address.clone(), |subnet| subnet.to_string()),
+            row.udp_port.to_string(),
+            u8::from(row.use_password).to_string(),
             "the client's".to_owned(),
-            Nettype::UdpRange.to_string(),
+            row.nettype.to_string(),
         ]);
     }
     table
 }
 
-/// The same rows in a whole table for `translate`; none without an IPv4 address, since an IPNetTable
-/// has no other.
+/// The same rows in a whole table for `translate`; none where no row has an IPv4 address, since an
+/// IPNetTable has no other.
 pub(super) fn toml(config: &Config) -> Option<String> {
-    let mut addresses = config.listen.iter().filter_map(|address| match address {
-        IpAddr::V4(v4) => Some(*v4),
-        IpAddr::V6(_) => None,
-    });
-    let address = addresses.next()?;
-    let others: String = addresses.map(|other| format!(" or {other}")).collect();
-    let (address, remark) = match address.is_unspecified() {
-        true => (EXAMPLE_ADDRESS, "; address: an example, enter your public one".to_owned()),
-        false if others.is_empty() => (address, String::new()),
-        false => (address, format!("; address: this{others}")),
-    };
+    let public = PublicAddress::of(&config.listen);
+    let mut rows =
+        rows(config).filter(|row| row.local_subnet.is_some() || public.is_some()).peekable();
+    rows.peek()?;
     let mut ids = (1..=IpNetId::LAST_ROW.get()).filter_map(IpNetId::new);
     let mut text = format!(
         "# Only the client knows its node address, its own net and its router: these are examples.\n\
          node_address = {EXAMPLE_NODE}\n\n# the client's own net\n{}",
         ip_net_as_toml(ids.next()?, &EXAMPLE_OWN)
     );
-    let mut rows = rows(config);
-    for (id, (net, udp_port, node)) in ids.zip(rows.by_ref()) {
-        let fields = Fields {
-            nettype: Nettype::UdpRange,
-            ip_address: address,
-            udp_port,
-            use_password: uses_password(net),
-            router: EXAMPLE_ROUTER,
-            allow_without_password: !uses_password(net),
+    for (id, row) in ids.zip(rows.by_ref()) {
+        let (ip_address, remark) = match (row.local_subnet, &public) {
+            (Some(subnet), _) => (subnet, "; a remote net, for programs on this side"),
+            (None, Some(PublicAddress { address, remark })) => (*address, remark.as_str()),
+            (None, None) => continue,
         };
-        let only = node.map_or(String::new(), |node| format!(", node {node} only"));
-        let row = ip_net_as_toml(id, &fields);
+        let fields = Fields {
+            nettype: row.nettype,
+            ip_address,
+            udp_port: row.udp_port,
+            use_password: row.use_password,
+            router: EXAMPLE_ROUTER,
+            allow_without_password: !row.use_password && row.nettype == Nettype::UdpRange,
+        };
+        let only = row.only.map_or(String::new(), |node| format!(", node {node} only"));
+        let toml = ip_net_as_toml(id, &fields);
         // A String takes all that is written to it.
-        let _ = write!(text, "\n# {}{only}{remark}\n{row}", net.name);
+        let _ = write!(text, "\n# {}{only}{remark}\n{toml}", row.net.name);
     }
     match rows.count() {
         0 => {}
@@ -86,6 +95,30 @@ pub(super) fn toml(config: &Config) -> Option<String> {
         }
     }
     Some(text)
+}
+
+/// The relay's public address for the TOML, and what is to be said of it.
+struct PublicAddress {
+    address: Ipv4Addr,
+    remark: String,
+}
+
+impl PublicAddress {
+    /// None without an IPv4 address.
+    fn of(listen: &[IpAddr]) -> Option<Self> {
+        let mut addresses = listen.iter().filter_map(|address| match address {
+            IpAddr::V4(v4) => Some(*v4),
+            IpAddr::V6(_) => None,
+        });
+        let address = addresses.next()?;
+        let others: String = addresses.map(|other| format!(" or {other}")).collect();
+        let (address, remark) = match address.is_unspecified() {
+            true => (EXAMPLE_ADDRESS, "; address: an example, enter your public one".to_owned()),
+            false if others.is_empty() => (address, String::new()),
+            false => (address, format!("; address: this{others}")),
+        };
+        Some(Self { address, remark })
+    }
 }
 
 /// Nets that are a single server, which a row reaches at one node or cannot reach at all.
@@ -106,13 +139,27 @@ pub(super) fn remarks_on_servers(config: &Config) -> impl Iterator<Item = String
     })
 }
 
-/// Each net that a row can reach, with the row's UDPPort, and the node if it is the only one.
-fn rows(config: &Config) -> impl Iterator<Item = (&Net, u16, Option<u8>)> {
+/// The row of each net that a row can reach.
+fn rows(config: &Config) -> impl Iterator<Item = Row<'_>> {
     let nets = config.table.mappings().chunk_by(|a, b| a.net == b.net);
     nets.filter_map(|mappings| {
-        let net = config.table.net(mappings[0].net);
-        let single = (net.kind == NetKind::Server).then_some(mappings[0].node_address);
-        Some((net, udp_port(&mappings[0])?, single))
+        let (first, net) = (&mappings[0], config.table.net(mappings[0].net));
+        let local_subnet = match first.local_address {
+            Some(IpAddr::V4(local)) => Some(Ipv4Addr::from_bits(local.to_bits() & 0xffff_ff00)),
+            _ => None,
+        };
+        let (nettype, udp_port) = match net.kind {
+            NetKind::Remote { .. } => (Nettype::IpRange, first.public_port),
+            NetKind::UdpRange { .. } | NetKind::Server => (Nettype::UdpRange, udp_port(first)?),
+        };
+        Some(Row {
+            net,
+            nettype,
+            local_subnet,
+            udp_port,
+            use_password: !net.kind.is_remote() && !net.credentials.is_empty(),
+            only: (net.kind == NetKind::Server).then_some(first.node_address),
+        })
     })
 }
 
@@ -120,10 +167,6 @@ fn rows(config: &Config) -> impl Iterator<Item = (&Net, u16, Option<u8>)> {
 fn udp_port(mapping: &Mapping) -> Option<u16> {
     let start = mapping.public_port.checked_sub(mapping.node_address.into());
     start.filter(|port| (1..=LAST_START_PORT).contains(port))
-}
-
-fn uses_password(net: &Net) -> bool {
-    !net.credentials.is_empty()
 }
 
 fn public_address(listen: &[IpAddr]) -> String {

@@ -72,6 +72,13 @@ fn read(path: &Path) -> Result<(Config, Vec<Warning>), ExitCode> {
 
 fn summary(config: &Config, full: bool) -> String {
     let listen: Vec<_> = config.listen.iter().map(IpAddr::to_string).collect();
+    let on = if listen.is_empty() { String::new() } else { format!(", on {}", listen.join(", ")) };
+    let has_remote_nets = config.table.nets().iter().any(|net| net.kind.is_remote());
+    let local = if has_remote_nets {
+        "A row of Nettype IPRange is for programs on this side, which send without a password.\n"
+    } else {
+        ""
+    };
     let remarks = client::remarks_on_servers(config).chain(remarks_on_clients(config));
     let remarks: Vec<_> = remarks.map(|remark| remark + "\n").collect();
     let toml = client::toml(config).map_or_else(
@@ -79,11 +86,11 @@ fn summary(config: &Config, full: bool) -> String {
         |toml| format!("The same as a file for `pnet-nat translate`:\n\n{toml}"),
     );
     format!(
-        "The configuration has no faults. The NAT table, on {}:\n\n{}\n\n\
+        "The configuration has no faults. The NAT table{}:\n\n{}\n\n\
          What a remote client enters in its IPNetTable:\n\n{}\n\n\
-         Router: the node address of the router on the client's own net, as the client has it.\n{}\n\
+         Router: the node address of the router on the client's own net, as the client has it.\n{local}{}\n\
          {toml}",
-        listen.join(", "),
+        on,
         nat_table(config, full),
         client::ip_net_table(config),
         remarks.concat(),
@@ -99,7 +106,7 @@ fn nat_table(config: &Config, full: bool) -> Table {
         let (first, last) = (&run[0], &run[run.len() - 1]);
         let name = config.table.net(first.net).name.clone();
         table.add_row([
-            span(first.public_port, last.public_port),
+            public_ports(first, last),
             servers(first.server, last.server),
             span(first.node_address, last.node_address),
             name,
@@ -117,7 +124,7 @@ fn remarks_on_clients(config: &Config) -> impl Iterator<Item = String> {
         let IpAddr::V4(server) = mappings[0].server.ip() else { return None };
         let subnet = match net.kind {
             NetKind::UdpRange { .. } => IpNet::from(Ipv4Net::new_assert(server, 24).trunc()),
-            NetKind::Server => return None,
+            NetKind::Server | NetKind::Remote { .. } => return None,
         };
         let is_wider = |allowed: &&IpNet| allowed.prefix_len() > 0 && allowed.contains(&subnet);
         let wider = net.allow.iter().find(is_wider)?;
@@ -132,16 +139,30 @@ fn remarks_on_clients(config: &Config) -> impl Iterator<Item = String> {
     })
 }
 
+/// The ports of consecutive nodes: `40001-40004`, or in a remote net `127.17.2.1-4:34378`.
+fn public_ports(first: &Mapping, last: &Mapping) -> String {
+    match first.local_address.zip(last.local_address) {
+        None => span(first.public_port, last.public_port),
+        Some((from, to)) => {
+            servers((from, first.public_port).into(), (to, last.public_port).into())
+        }
+    }
+}
+
 fn span<T: PartialEq + ToString>(first: T, last: T) -> String {
     let (single, first, last) = (first == last, first.to_string(), last.to_string());
     if single { first } else { format!("{first}-{last}") }
 }
 
-/// Consecutive servers, which differ in their last octet: `172.17.17.1-4:34379`.
+/// Consecutive servers, which differ in their last octet, `172.17.17.1-4:34379`, or in their port,
+/// `203.0.113.5:40001-40004`.
 fn servers(first: SocketAddr, last: SocketAddr) -> String {
     match (first.ip(), last.ip()) {
         (IpAddr::V4(from), IpAddr::V4(to)) if from != to => {
             format!("{from}-{}:{}", to.octets()[3], first.port())
+        }
+        (from, to) if from == to && first.port() != last.port() => {
+            format!("{first}-{}", last.port())
         }
         _ => first.to_string(),
     }

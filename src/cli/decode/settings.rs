@@ -1,6 +1,6 @@
 //! What is looked at, and how it is shown.
 
-use std::net::SocketAddr;
+use std::net::{IpAddr, SocketAddr};
 use std::process::ExitCode;
 use std::sync::Arc;
 
@@ -50,7 +50,10 @@ impl Settings {
         let node = table.mapping_of_server(server).map(|id| table.mapping(id));
         let public = || {
             let mappings = table.mappings().iter();
-            mappings.copied().find(|mapping| mapping.public_port == server.port())
+            let is_at = |address: IpAddr| address == server.ip();
+            mappings.copied().find(|mapping| {
+                mapping.public_port == server.port() && mapping.local_address.is_none_or(is_at)
+            })
         };
         let mapping = node.or_else(public)?;
         Some((&table.net(mapping.net).name, mapping.node_address))

@@ -87,6 +87,7 @@ impl Plant {
         let mapping = |node: &PlantNode| Mapping {
             net: NetId(0),
             node_address: node.node_address,
+            local_address: None,
             public_port: node.public.port(),
             server: node.server,
         };

@@ -209,7 +209,8 @@ fn node_row(net: &Net, node: &Node, earlier: Earlier<'_>) -> [String; 10] {
     let before = earlier.map(|(ago, seen)| {
         let before = seen.nets.iter().find(|before| before.name == net.name);
         let nodes = before.map(|net| net.nodes.as_slice()).unwrap_or_default();
-        let same = |before: &&Node| before.public_port == node.public_port;
+        let same =
+            |before: &&Node| (before.node, before.public_port) == (node.node, node.public_port);
         (ago, nodes.iter().find(same).map(|node| &node.traffic))
     });
     let [requests, answers] = traffic(&node.traffic, before);

@@ -7,6 +7,7 @@ mod faults;
 mod host;
 mod ip_net_table;
 mod reference;
+mod remote_net;
 mod size;
 mod syntax;
 

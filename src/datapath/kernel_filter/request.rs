@@ -47,6 +47,7 @@ pub(in crate::datapath) fn is_same(one: (&Table, NetId), other: (&Table, NetId))
         bool::from(one.password.matches(other.password.octets()))
     };
     one.0.header == other.0.header
+        && net.kind.is_remote() == other_net.kind.is_remote()
         && net.allow_without_password == other_net.allow_without_password
         && net.credentials.len() == other_net.credentials.len()
         && net.credentials.iter().zip(&other_net.credentials).all(same)
@@ -65,6 +66,7 @@ pub(in crate::datapath) fn is_refused_by_filter(reason: DropReason) -> bool {
         | DropReason::RouteFormat
         | DropReason::BadLength
         | DropReason::PasswordMissing
+        | DropReason::PasswordUnexpected
         | DropReason::Unanswerable
         | DropReason::SourceNotAllowed
         | DropReason::Throttled
@@ -85,8 +87,9 @@ pub(in crate::datapath) fn is_refused_by_filter(reason: DropReason) -> bool {
 /// address of the socket. The program checks the destination only on a socket of all addresses,
 /// because a socket of one address gets no datagram that was sent to another.
 pub(in crate::datapath) fn program(header: Header, net: &Net, listen: IpAddr) -> Program {
-    let shortest =
-        if net.allow_without_password { wire::MIN_DATAGRAM } else { wire::MIN_SECURE_DATAGRAM };
+    let is_remote = net.kind.is_remote();
+    let without_password = net.allow_without_password || is_remote;
+    let shortest = if without_password { wire::MIN_DATAGRAM } else { wire::MIN_SECURE_DATAGRAM };
     let mut program = Program::new();
     // The broadcast address of a single network cannot be told from other addresses here.
     match listen {
@@ -134,11 +137,14 @@ pub(in crate::datapath) fn program(header: Header, net: &Net, listen: IpAddr) ->
     program.step(BPF_ALU | BPF_ADD | BPF_X, 0);
     program.step(BPF_ALU | BPF_ADD | BPF_K, Header::LEN as u32 + CONTROL);
     program.step(BPF_MISC | BPF_TAX, 0);
-    // A password stands behind them, or nothing where the net allows that.
+    // A password stands behind them, or nothing where the net allows or demands that.
     program.step(BPF_LD | BPF_MEM, 0);
     program.step(BPF_ALU | BPF_SUB | BPF_X, 0);
-    if net.allow_without_password {
+    if without_password {
         program.compare(BPF_JEQ, 0, To::Accept, To::Next);
+    }
+    if is_remote {
+        return program;
     }
     if net.credentials.len() > MOST_PASSWORDS {
         program.compare(BPF_JEQ, PASSWORD, To::Accept, To::Refuse);
@@ -168,7 +174,7 @@ mod tests {
     use super::*;
     use crate::nat::{
         Arrival, Chance, Core, Counters, Credential, Effects, Limits, ListenerId, Mapping,
-        MappingId, NetKind, Rules, ToServer, UpstreamId,
+        MappingId, NetKind, Payload, Rules, ToServer, UpstreamId,
     };
 
     fn net(passwords: &[[u8; 8]], allow_without_password: bool) -> Net {
@@ -228,7 +234,14 @@ mod tests {
     impl Judge {
         fn new(net: &Net) -> Self {
             let server = "172.17.17.4:34379".parse().unwrap();
-            let mapping = Mapping { net: NetId(0), node_address: 4, public_port: 40_004, server };
+            let (net_id, local_address) = (NetId(0), None);
+            let mapping = Mapping {
+                net: net_id,
+                node_address: 4,
+                local_address,
+                public_port: 40_004,
+                server,
+            };
             let table = Table::new(Header::default(), vec![net.clone()], vec![mapping]);
             let limits = Limits {
                 max_flows: 1,
@@ -249,8 +262,9 @@ mod tests {
         }
 
         fn judge(&mut self, octets: &[u8]) -> Result<ToServer, DropReason> {
-            let mut octets = octets.to_vec();
-            self.core.request(Instant::now(), &self.arrival, &mut octets, &mut NoSockets)
+            let mut room = [octets, &[0; Password::LEN]].concat();
+            let mut payload = Payload::new(&mut room, octets.len());
+            self.core.request(Instant::now(), &self.arrival, &mut payload, &mut NoSockets)
         }
     }
 

@@ -9,9 +9,10 @@ use std::collections::BTreeMap;
 use std::io;
 use std::net::{IpAddr, Ipv4Addr};
 
-use libc::{BPF_ABS, BPF_ALU, BPF_AND, BPF_H, BPF_JEQ, BPF_K, BPF_LD, BPF_W};
+use libc::{BPF_ABS, BPF_ALU, BPF_AND, BPF_H, BPF_JEQ, BPF_JGE, BPF_JGT, BPF_K, BPF_LD, BPF_W};
 
 use crate::nat::{NetKind, Table};
+use crate::pnet::wire::LAST_NODE;
 
 use crate::datapath::kernel_filter::assembler::{MOST_STEPS, Program, To};
 
@@ -20,36 +21,41 @@ const SOURCE_PORT: u32 = 0;
 /// Offset of the source address, counted from the IPv4 header.
 const SOURCE: u32 = libc::SKF_NET_OFF as u32 + 12;
 
-/// The mask of a plant section's network, which is a /24, and that of a single server's
-/// address.
+/// The mask of a plant section's network, which is a /24, and that of the address of a single
+/// server or of another plant's router.
 const SECTION: u32 = 0xffff_ff00;
 const SERVER: u32 = 0xffff_ffff;
 
 /// Makes the program that refuses, on an IPv4 socket, what comes from no server of the table. Fails
 /// where one program cannot hold all servers.
 pub(in crate::datapath) fn program(table: &Table) -> io::Result<Program> {
-    let mut networks: BTreeMap<(u16, u32), Vec<u32>> = BTreeMap::new();
+    let mut networks: BTreeMap<(u16, u16, u32), Vec<u32>> = BTreeMap::new();
     for mapping in table.mappings() {
         let IpAddr::V4(address) = mapping.server.ip() else { continue };
-        let mask = match table.net(mapping.net).kind {
-            NetKind::UdpRange { .. } => SECTION,
-            NetKind::Server => SERVER,
+        let port = mapping.server.port();
+        let (first, last, mask) = match table.net(mapping.net).kind {
+            NetKind::UdpRange { .. } => (port, port, SECTION),
+            NetKind::Server => (port, port, SERVER),
+            NetKind::Remote { start_port } => {
+                (start_port, start_port.saturating_add(LAST_NODE.into()), SERVER)
+            }
         };
         let network = Ipv4Addr::to_bits(address) & mask;
-        let of_port = networks.entry((mapping.server.port(), mask)).or_default();
-        if !of_port.contains(&network) {
-            of_port.push(network);
+        let of_ports = networks.entry((first, last, mask)).or_default();
+        if !of_ports.contains(&network) {
+            of_ports.push(network);
         }
     }
-    let steps: usize = networks.values().map(|of_port| of_port.len() + 4).sum();
+    let steps: usize = networks.values().map(|of_ports| of_ports.len() + 5).sum();
     if steps > MOST_STEPS {
         return Err(io::Error::other("too many plant sections for a program"));
     }
     let mut program = Program::new();
-    for ((port, mask), networks) in networks {
-        let others = To::Skip(networks.len() as u8 + 2);
+    for ((first, last, mask), networks) in networks {
+        let others = |more: u8| To::Skip(networks.len() as u8 + 2 + more);
         program.step(BPF_LD | BPF_H | BPF_ABS, SOURCE_PORT);
-        program.compare(BPF_JEQ, port.into(), To::Next, others);
+        program.compare(BPF_JGE, first.into(), To::Next, others(1));
+        program.compare(BPF_JGT, last.into(), others(0), To::Next);
         program.step(BPF_LD | BPF_W | BPF_ABS, SOURCE);
         program.step(BPF_ALU | BPF_AND | BPF_K, mask);
         for network in networks {
@@ -74,7 +80,8 @@ mod tests {
     }
 
     fn mapping(net: u16, server: SocketAddr) -> Mapping {
-        Mapping { net: NetId(net), node_address: 1, public_port: 1, server }
+        let (node_address, public_port) = (1, 1);
+        Mapping { net: NetId(net), node_address, local_address: None, public_port, server }
     }
 
     /// A socket on a free port of loopback.
@@ -85,8 +92,15 @@ mod tests {
     #[test]
     fn servers_get_through_and_nobody_else() {
         let (section, press) = (peer("127.88.17.3"), peer("127.88.18.7"));
-        let nets = vec![net(NetKind::UdpRange { start_port: 1 }), net(NetKind::Server)];
+        let range = peer("127.88.20.5");
+        let start_port = range.local_addr().unwrap().port() - 3;
+        let nets = vec![
+            net(NetKind::UdpRange { start_port: 1 }),
+            net(NetKind::Server),
+            net(NetKind::Remote { start_port }),
+        ];
         let mappings = vec![
+            mapping(2, ("127.88.20.5".parse::<Ipv4Addr>().unwrap(), start_port + 1).into()),
             mapping(0, section.local_addr().unwrap()),
             mapping(1, press.local_addr().unwrap()),
             mapping(1, "[::1]:34379".parse().unwrap()),
@@ -105,6 +119,8 @@ mod tests {
             UdpSocket::bind((address, like.local_addr().unwrap().port())).unwrap()
         };
         assert!(gets_through(&section) && gets_through(&press));
+        assert!(gets_through(&range), "another port of another plant's router");
+        assert!(!gets_through(&at("127.88.20.6", &range)), "a neighbour of that router");
         assert!(gets_through(&at("127.88.17.4", &section)), "another node of the section");
         assert!(!gets_through(&at("127.88.18.8", &press)), "a neighbour of a single server");
         assert!(!gets_through(&at("127.88.19.3", &section)), "another network");
@@ -119,7 +135,7 @@ mod tests {
             let mappings = (0..sections).map(|n| mapping(0, server(n))).collect();
             Table::new(Header::default(), vec![net(NetKind::UdpRange { start_port: 1 })], mappings)
         };
-        assert!(program(&table(251)).is_ok());
-        assert!(program(&table(252)).is_err());
+        assert!(program(&table(250)).is_ok());
+        assert!(program(&table(251)).is_err());
     }
 }

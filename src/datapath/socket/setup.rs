@@ -113,17 +113,18 @@ pub(in crate::datapath) fn open(
             missing.push(Missing { address, why: error.into() });
             continue;
         }
-        let sockets =
-            match filtered(config, address, workers, |socket| listener(socket, address, mapping)) {
-                Ok(sockets) => sockets,
-                Err(error) => {
-                    if let Some(error) = error.at(address) {
-                        unusable.insert(address.ip(), error);
-                    }
-                    missing.push(Missing { address, why: error.into() });
-                    continue;
+        let sockets = match filtered(config, address, mapping, workers, |socket| {
+            listener(socket, address, mapping)
+        }) {
+            Ok(sockets) => sockets,
+            Err(error) => {
+                if let Some(error) = error.at(address) {
+                    unusable.insert(address.ip(), error);
                 }
-            };
+                missing.push(Missing { address, why: error.into() });
+                continue;
+            }
+        };
         let Some(id) = ids.find(|&id| next[0].get(id).is_none()) else { break };
         for (next, listener) in next.iter_mut().zip(sockets) {
             next.put(id, listener);
@@ -137,10 +138,15 @@ pub(in crate::datapath) fn open(
 fn filtered(
     config: &Config,
     address: SocketAddr,
+    mapping: MappingId,
     workers: usize,
     listener: impl Fn(Arc<FilteredSocket>) -> Listener,
 ) -> Result<Vec<Listener>, ListenError> {
-    let failed = |error| ListenError::new("UDP", address, "[public] listen", error);
+    let key = match config.table.mapping(mapping).local_address {
+        None => "[public] listen",
+        Some(_) => "[[remote_net]] local_subnet",
+    };
+    let failed = |error| ListenError::new("UDP", address, key, error);
     let sockets = options::public(address, workers, config.datapath.receive_buffer);
     let mut listeners = Vec::new();
     for socket in sockets.map_err(failed)? {
@@ -202,7 +208,7 @@ pub(in crate::datapath) fn tell_short_buffers(config: &Config, listeners: &[List
 fn wanted(config: &Config) -> impl Iterator<Item = (SocketAddr, MappingId)> {
     let mappings = config.table.mappings().iter().zip(config.table.mapping_ids());
     mappings.flat_map(|(mapping, id)| {
-        let listen = config.listen.iter();
-        listen.map(move |&address| (SocketAddr::new(address, mapping.public_port), id))
+        let addresses = config.addresses_of(mapping).iter();
+        addresses.map(move |&address| (SocketAddr::new(address, mapping.public_port), id))
     })
 }

@@ -41,6 +41,7 @@ impl Core {
             client: arrival.client,
             public_address: arrival.public_address,
             public_port: mapping.public_port,
+            has_local_address: mapping.local_address.is_some(),
         };
         let budget = &self.rules.budget;
         let (upstream, upstream_port) =

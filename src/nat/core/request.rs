@@ -6,6 +6,7 @@ use std::time::Instant;
 use super::{Arrival, Core};
 use crate::nat::effects::Effects;
 use crate::nat::ids::{FlowId, NetId, UpstreamId};
+use crate::nat::payload::Payload;
 use crate::nat::protocol::{self, Request};
 use crate::nat::reason::{Direction, DropReason};
 use crate::nat::time::Nanos;
@@ -25,7 +26,7 @@ pub struct ToServer {
 }
 
 impl Core {
-    /// Judges a request. If it may pass, `octets` hold what the server is to receive. The caller
+    /// Judges a request. If it may pass, `payload` is what the server is to receive. The caller
     /// then sends them and reports with [`request_sent`](Self::request_sent) or
     /// [`send_failed`](Self::send_failed), before the next call that may close a flow.
     #[inline]
@@ -33,11 +34,11 @@ impl Core {
         &mut self,
         now: Instant,
         arrival: &Arrival,
-        octets: &mut [u8],
+        payload: &mut Payload<'_>,
         effects: &mut impl Effects,
     ) -> Result<ToServer, DropReason> {
         let now = self.nanos(now);
-        let verdict = self.judge_request(now, arrival, octets, effects);
+        let verdict = self.judge_request(now, arrival, payload, effects);
         let node = self.counters.node(arrival.mapping).direction(Direction::Request);
         node.received.add(&self.writer, 1);
         if let Err(reason) = verdict {
@@ -54,7 +55,7 @@ impl Core {
         &mut self,
         now: Nanos,
         arrival: &Arrival,
-        octets: &mut [u8],
+        payload: &mut Payload<'_>,
         effects: &mut impl Effects,
     ) -> Result<ToServer, DropReason> {
         if !arrival.is_unicast() {
@@ -62,7 +63,7 @@ impl Core {
         }
         let mapping = self.rules.table.mapping(arrival.mapping);
         let net = self.rules.table.net(mapping.net);
-        let request = Request::parse(octets, self.rules.table.header, net)?;
+        let request = Request::parse(payload, self.rules.table.header, net)?;
 
         // A request of an open flow is judged by its password alone, so that wrong passwords under
         // a client's address cannot lock the client out.
@@ -91,10 +92,8 @@ impl Core {
                 self.rules.known.note(mapping.net, arrival.client.ip(), now);
             }
             self.counters.accepted(mapping.net)[index].add(&self.writer, 1);
-            let credential = &self.rules.table.net(mapping.net).credentials[index];
-            if let Some(device) = &credential.device_password {
-                protocol::replace_password(octets, device);
-            }
+            let net = self.rules.table.net(mapping.net);
+            protocol::for_server(payload, net, &net.credentials[index])?;
         }
         let asks = request.confirmed.then_some(id);
         Ok(ToServer { via: flow.upstream, server: mapping.server, asks })
@@ -129,7 +128,8 @@ impl Core {
         })
     }
 
-    /// The credential that the request's password is; none for a request without a password.
+    /// The credential of the request: that of its password, or in a remote net the one whose
+    /// password it gets. None for a request without a password.
     #[inline]
     fn check_password(
         &mut self,
@@ -141,7 +141,8 @@ impl Core {
         effects: &mut impl Effects,
     ) -> Result<Option<u16>, DropReason> {
         let Some(password) = &request.password else {
-            return Ok(None); // Request::parse let it pass: the net allows it (A4)
+            // Request::parse let it pass: the net is remote, or allows it (A4).
+            return Ok(self.rules.table.net(net).kind.is_remote().then_some(0));
         };
         let credential = self.rules.table.net(net).credential(password);
         if credential.is_none() {

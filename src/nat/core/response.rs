@@ -5,6 +5,7 @@ use std::time::Instant;
 
 use super::Core;
 use crate::nat::ids::{FlowId, ListenerId, MappingId, UpstreamId};
+use crate::nat::payload::Payload;
 use crate::nat::protocol;
 use crate::nat::reason::{Direction, DropReason};
 use crate::nat::time::Nanos;
@@ -23,7 +24,7 @@ pub struct ToClient {
 }
 
 impl Core {
-    /// Judges what a server sent to an upstream socket. If it may pass, `octets` hold what the
+    /// Judges what a server sent to an upstream socket. If it may pass, `payload` is what the
     /// client is to receive. The caller then sends them and reports with
     /// [`response_sent`](Self::response_sent) or [`send_failed`](Self::send_failed).
     #[inline]
@@ -32,13 +33,13 @@ impl Core {
         now: Instant,
         via: UpstreamId,
         server: SocketAddr,
-        octets: &mut [u8],
+        payload: &mut Payload<'_>,
     ) -> Result<ToClient, DropReason> {
         // A flow for which the new rules have no place is closed later; until then it takes
         // nothing.
         let flow = self.flows.of_response(via, server).filter(|&id| self.take_along(id).is_ok());
         let verdict = match flow {
-            Some(id) => self.judge_response(self.nanos(now), id, octets),
+            Some(id) => self.judge_response(self.nanos(now), id, payload),
             None => Err(DropReason::UnknownFlow),
         };
         let mapping = match flow {
@@ -63,9 +64,9 @@ impl Core {
         &mut self,
         now: Nanos,
         id: FlowId,
-        octets: &mut [u8],
+        payload: &mut Payload<'_>,
     ) -> Result<ToClient, DropReason> {
-        let password = protocol::response(octets, self.rules.table.header)?;
+        let password = protocol::response(payload, self.rules.table.header)?;
         let flow = self.flows.get_mut(id);
         let mapping = self.rules.table.mapping(flow.mapping);
         let net = self.rules.table.net(mapping.net);
@@ -78,9 +79,7 @@ impl Core {
                 let credential = { credentials }
                     .find(|credential| credential.at_server().matches(&password).into())
                     .ok_or(DropReason::PasswordMismatch)?;
-                if credential.device_password.is_some() {
-                    protocol::replace_password(octets, &credential.password);
-                }
+                protocol::for_client(payload, net, credential);
             }
             None if net.require_response_password => return Err(DropReason::PasswordMismatch),
             None => {}

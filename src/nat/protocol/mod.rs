@@ -3,4 +3,4 @@
 
 mod pnet;
 
-pub(super) use pnet::{Header, Password, Request, replace_password, response};
+pub(super) use pnet::{Header, Password, Request, for_client, for_server, response};

@@ -3,11 +3,12 @@
 //! These checks need nothing but the octets. Who sent them, and whether the password is right, is
 //! checked in `core`.
 
-use crate::nat::net::Net;
+use crate::nat::net::{Credential, Net};
+use crate::nat::payload::Payload;
 use crate::nat::reason::DropReason;
 use crate::pnet::wire::{self, Datagram, DatagramError, RouteFormat};
 
-pub(in crate::nat) use crate::pnet::wire::{Header, Password, replace_password};
+pub(in crate::nat) use crate::pnet::wire::{Header, Password};
 
 /// A well-formed request: what the core needs to know about it.
 #[derive(Debug)]
@@ -30,7 +31,9 @@ impl Request {
         header: Header,
         net: &Net,
     ) -> Result<Self, DropReason> {
-        if octets.len() < wire::MIN_SECURE_DATAGRAM && !net.allow_without_password {
+        let is_remote = net.kind.is_remote();
+        let needs_password = !net.allow_without_password && !is_remote;
+        if octets.len() < wire::MIN_SECURE_DATAGRAM && needs_password {
             return Err(DropReason::TooShort);
         }
         let datagram = parse(octets, header)?;
@@ -40,8 +43,10 @@ impl Request {
             return Err(DropReason::RouteFormat);
         };
         let password = datagram.password().copied();
-        if password.is_none() && !net.allow_without_password {
-            return Err(DropReason::PasswordMissing);
+        match password {
+            None if needs_password => return Err(DropReason::PasswordMissing),
+            Some(_) if is_remote => return Err(DropReason::PasswordUnexpected),
+            _ => {}
         }
         // IPNetIDs 126 and 127 are reserved too, so every destination is checked.
         let broadcast = route.destinations().any(|element| element >= wire::BNA);
@@ -59,6 +64,34 @@ impl Request {
             return Err(DropReason::NodeMismatch);
         }
         Ok(())
+    }
+}
+
+/// Gives a request the password that its server expects.
+#[inline]
+pub(in crate::nat) fn for_server(
+    payload: &mut Payload<'_>,
+    net: &Net,
+    credential: &Credential,
+) -> Result<(), DropReason> {
+    if net.kind.is_remote() {
+        // A package without a password is never so long that there is no room.
+        let has_room = payload.append(credential.password.octets());
+        return if has_room { Ok(()) } else { Err(DropReason::TooLong) };
+    }
+    if let Some(device) = &credential.device_password {
+        wire::replace_password(payload, device);
+    }
+    Ok(())
+}
+
+/// Gives a response, which has a password, the one that its client expects.
+#[inline]
+pub(in crate::nat) fn for_client(payload: &mut Payload<'_>, net: &Net, credential: &Credential) {
+    if net.kind.is_remote() {
+        payload.cut(Password::LEN);
+    } else if credential.device_password.is_some() {
+        wire::replace_password(payload, &credential.password);
     }
 }
 

@@ -66,7 +66,7 @@ impl World {
     /// What the client receives of an answer of the node.
     fn answer(&mut self, to: ToServer, password: &[u8; 8]) -> Result<Vec<u8>, DropReason> {
         let mut octets = response(password);
-        let back = self.worker.core.response(self.now, to.via, to.server, &mut octets)?;
+        let back = self.worker.response(self.now, to.via, to.server, &mut octets)?;
         assert_eq!(back.client, CLIENT.parse().unwrap());
         Ok(octets)
     }
@@ -155,7 +155,7 @@ fn what_was_not_sent_was_not_asked() {
     assert!(world.worker.core.awaits_answers(world.now));
     assert_ne!(asked(&world), (0, 0));
     world.now += Duration::from_millis(3);
-    world.worker.core.response(world.now, to.via, to.server, &mut response(SERVICE)).unwrap();
+    world.worker.response(world.now, to.via, to.server, &mut response(SERVICE)).unwrap();
     let nanos: u64 = world.node().response_times.buckets().map(|(_, nanos)| nanos).sum();
     assert_eq!(Duration::from_nanos(nanos), Duration::from_millis(3));
 }

@@ -44,7 +44,8 @@ pub(super) fn net() -> Net {
 }
 
 pub(super) fn mapping(net: u16, node_address: u8, public_port: u16, server: &str) -> Mapping {
-    Mapping { net: NetId(net), node_address, public_port, server: server.parse().unwrap() }
+    let (local_address, server) = (None, server.parse().unwrap());
+    Mapping { net: NetId(net), node_address, local_address, public_port, server }
 }
 
 /// Node 4 of the first net.
@@ -140,7 +141,7 @@ impl<E: Effects> Worker<E> {
         arrival: &Arrival,
         octets: &mut [u8],
     ) -> Result<ToServer, DropReason> {
-        self.core.request(now, arrival, octets, &mut self.effects)
+        self.core.request(now, arrival, &mut Payload::from(octets), &mut self.effects)
     }
 
     /// What the worker goes over to when these are the new rules, without the sockets `gone`.
@@ -160,6 +161,17 @@ impl<E: Effects> Worker<E> {
     /// Lets some more flows go over to the new rules.
     pub(super) fn go_over(&mut self, now: Instant) -> Option<usize> {
         self.core.go_over(now, &mut self.effects)
+    }
+
+    /// Something that a server sent to an upstream socket.
+    pub(super) fn response(
+        &mut self,
+        now: Instant,
+        via: UpstreamId,
+        server: SocketAddr,
+        octets: &mut [u8],
+    ) -> Result<ToClient, DropReason> {
+        self.core.response(now, via, server, &mut Payload::from(octets))
     }
 
     pub(super) fn expire(&mut self, now: Instant) {

@@ -84,7 +84,7 @@ impl Router {
     }
 
     fn answer(&mut self, worker: usize, to: ToServer) -> Result<ToClient, DropReason> {
-        self.workers[worker].core.response(self.now, to.via, to.server, &mut response(b""))
+        self.workers[worker].response(self.now, to.via, to.server, &mut response(b""))
     }
 
     /// Closes what can be closed. True while other sockets wait for last answers.

@@ -5,5 +5,6 @@ mod attackers;
 mod fixture;
 mod handover;
 mod order;
+mod remote;
 mod silence;
 mod simulation;

@@ -38,6 +38,14 @@ fn rules(max_flows: u32) -> Rules {
     Rules::new(table(vec![net], vec![node_4()]), limits)
 }
 
+/// The same rules for a net of another plant, which has no use for a password.
+fn remote_rules() -> Rules {
+    let Rules { table: section, limits, .. } = rules(1);
+    let kind = NetKind::Remote { start_port: 40_000 };
+    let net = Net { kind, ..section.nets()[0].clone() };
+    Rules::new(table(vec![net], section.mappings().to_vec()), limits)
+}
+
 /// A worker with an open flow, and where its request went.
 fn worker(now: Instant) -> (Worker<OneSocket>, ToServer) {
     let mut worker = Worker::new(&rules(1), now, 0, OneSocket::default());
@@ -76,6 +84,10 @@ fn of_a_request() {
     seen.extend(malformed().map(|octets| ask(now, looping, PUBLIC, octets)));
     seen.push(ask(now, looping, PUBLIC, simple_route(8)));
     seen.push(ask(now, looping, PUBLIC, request_to(126, b"")));
+    let mut remote = Worker::new(&remote_rules(), now, 0, OneSocket::default());
+    let refused =
+        remote.request(now, &arrival(looping.parse().unwrap()), &mut request_to(126, PASSWORD));
+    seen.push(refused.unwrap_err());
     let guesser = "198.51.100.66:1";
     assert_eq!(ask(now, guesser, PUBLIC, request(WRONG)), DropReason::PasswordWrong);
     for sender in [looping, "203.0.113.66:0", "203.0.113.66:1", guesser, "198.51.100.67:1"] {
@@ -100,7 +112,7 @@ fn of_a_response() {
     let now = Instant::now();
     let (mut worker, to) = worker(now);
     let mut answer = |server, mut octets: Vec<u8>| {
-        worker.core.response(now, to.via, server, &mut octets).unwrap_err()
+        worker.response(now, to.via, server, &mut octets).unwrap_err()
     };
     let mut seen = vec![answer("172.17.17.9:34379".parse().unwrap(), vec![0])];
     seen.extend(malformed().map(|octets| answer(to.server, octets)));

@@ -40,7 +40,7 @@ impl World {
 
     fn answer(&mut self) -> Result<ToClient, DropReason> {
         let ToServer { via, server, .. } = self.asked;
-        self.worker.core.response(self.now, via, server, &mut response(PASSWORD))
+        self.worker.response(self.now, via, server, &mut response(PASSWORD))
     }
 }
 

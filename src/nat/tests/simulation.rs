@@ -200,15 +200,22 @@ fn table(rng: &mut Rng, wanted: Option<u16>) -> Table {
         3 => range.reverse(),
         _ => {}
     }
+    let mut remote =
+        vec![credential("new", b"remote-1", None), credential("old", b"remote-2", None)];
+    if rng.u32(0..4) == 0 {
+        remote.rotate_left(1);
+    }
     let press = vec![credential("press", b"press!!!", None)];
     let mut mappings = vec![
         mapping(0, 1, 40_001, "172.17.17.1:34379"),
         mapping(0, 2, 40_002, "172.17.17.2:34379"),
         mapping(0, 33, 40_033, "172.17.17.33:34379"),
         mapping(1, 7, wanted.unwrap_or(40_200), "172.17.18.7:34379"),
+        remote_mapping(5),
+        remote_mapping(6),
     ];
     match rng.u32(0..6) {
-        0 => drop(mappings.remove(rng.usize(0..4))),
+        0 => drop(mappings.remove(rng.usize(0..6))),
         1 => mappings[2].server = "172.17.17.34:34379".parse().unwrap(),
         2 => mappings.rotate_left(1),
         _ => {}
@@ -217,8 +224,16 @@ fn table(rng: &mut Rng, wanted: Option<u16>) -> Table {
     let nets = vec![
         net("section-1", section, range, false, rng.u32(4..14)),
         net("press", NetKind::Server, press, true, 3),
+        net("plant-2", NetKind::Remote { start_port: 40_000 }, remote, false, rng.u32(3..8)),
     ];
     Table::new(Header::default(), nets, mappings)
+}
+
+/// A node of another plant, at an address of its own.
+fn remote_mapping(node_address: u8) -> Mapping {
+    let server = format!("203.0.113.5:{}", 40_000 + u16::from(node_address));
+    let local_address = Some([127, 17, 2, node_address].into());
+    Mapping { local_address, ..mapping(2, node_address, 34_378, &server) }
 }
 
 fn limits(rng: &mut Rng) -> Limits {
@@ -298,6 +313,7 @@ impl World {
         let table = &self.workers[worker].rules.table;
         let mapping = MappingId(self.rng.u32(0..table.mappings().len() as u32));
         let public_address: IpAddr = self.rng.choice(PUBLIC).unwrap().parse().unwrap();
+        let public_address = table.mapping(mapping).local_address.unwrap_or(public_address);
         let listener = listener(table.mapping(mapping));
         (worker, Arrival { listener, mapping, public_address, client })
     }
@@ -305,7 +321,10 @@ impl World {
     fn credential(&mut self, worker: usize, arrival: &Arrival) -> usize {
         let table = &self.workers[worker].rules.table;
         let net = table.net(table.mapping(arrival.mapping).net);
-        self.rng.usize(0..net.credentials.len())
+        match net.kind.is_remote() {
+            true => 0, // the first one is put on
+            false => self.rng.usize(0..net.credentials.len()),
+        }
     }
 
     /// A request in IP format with a number of its own in its data.
@@ -320,7 +339,8 @@ impl World {
         let credential = self.credential(worker, &arrival);
         let table = Arc::clone(&self.workers[worker].rules.table);
         let net = table.net(table.mapping(arrival.mapping).net);
-        let octets = self.datagram(worker, &arrival, net.credentials[credential].password.octets());
+        let password = as_client_sends(net, credential);
+        let octets = self.datagram(worker, &arrival, &password);
         let expect = if net.allow.iter().any(|network| network.contains(&arrival.client.ip())) {
             Expect::Pass
         } else {
@@ -334,10 +354,15 @@ impl World {
         let credential = self.credential(worker, &arrival);
         let table = Arc::clone(&self.workers[worker].rules.table);
         let net = table.net(table.mapping(arrival.mapping).net);
-        let password = *net.credentials[credential].password.octets();
+        let is_remote = net.kind.is_remote();
+        let password = as_client_sends(net, credential);
         let mut octets = self.datagram(worker, &arrival, &password);
         let len = octets.len();
         let reason = match self.rng.u32(0..16) {
+            0 | 1 | 9 if is_remote => {
+                octets.extend(self.rng.choice([b"remote-1", b"service!"]).unwrap());
+                DropReason::PasswordUnexpected
+            }
             0 => {
                 octets[len - 1] ^= 1 << self.rng.u32(0..8);
                 DropReason::PasswordWrong
@@ -347,7 +372,7 @@ impl World {
                 DropReason::PasswordMissing
             }
             2 => {
-                octets.truncate(self.rng.usize(0..16));
+                octets.truncate(self.rng.usize(0..if is_remote { 8 } else { 16 }));
                 DropReason::TooShort
             }
             3 => {
@@ -431,12 +456,14 @@ impl World {
         let limits = rules.limits;
         let mapping = table.mapping(arrival.mapping);
         let net = table.net(mapping.net);
-        let mut passed = octets.clone();
+        let mut room = [&octets[..], &[0; Password::LEN]].concat();
+        let mut payload = Payload::new(&mut room, octets.len());
         let known = core.flows(self.now).any(|flow| {
             (flow.client, flow.public_address, flow.mapping)
                 == (arrival.client, arrival.public_address, arrival.mapping)
         });
-        let verdict = core.request(self.now, &arrival, &mut passed, effects);
+        let verdict = core.request(self.now, &arrival, &mut payload, effects);
+        let passed = payload.to_vec();
         note(&mut self.digest, &(arrival, verdict, &passed));
         if let Err(reason) = verdict {
             self.reasons[reason as usize] += 1;
@@ -472,7 +499,7 @@ impl World {
             }
             (Expect::Pass, Ok(to)) => {
                 assert_eq!(to.server, mapping.server, "R-9");
-                let head = octets.len() - 8;
+                let head = passed.len() - 8;
                 assert_eq!(passed[..head], octets[..head], "R-8");
                 let at_server = net.credentials[credential].at_server().octets();
                 assert_eq!(&passed[head..], at_server);
@@ -560,6 +587,7 @@ impl World {
                 );
                 assert_eq!(to.via, listener(mapping), "the socket of the port");
                 assert!(!(without_password && table.net(mapping.net).require_response_password));
+                let len = len.min(as_sent.len()); // a remote net takes the password off
                 assert_eq!(octets, as_sent[..len], "R-8");
                 self.delivered += 1;
                 self.last_answers += usize::from(!is_shown);
@@ -600,10 +628,13 @@ impl World {
         worker: usize,
         via: UpstreamId,
         server: SocketAddr,
-        octets: &mut [u8],
+        octets: &mut Vec<u8>,
     ) -> Result<ToClient, DropReason> {
         let Worker { core, effects, .. } = &mut self.workers[worker];
-        let verdict = core.response(self.now, via, server, octets);
+        let mut payload = Payload::from(&mut octets[..]);
+        let verdict = core.response(self.now, via, server, &mut payload);
+        let len = payload.len();
+        octets.truncate(len);
         note(&mut self.digest, &(via, server, verdict, &octets));
         match verdict {
             Ok(to) => {
@@ -747,7 +778,16 @@ impl World {
 
 /// The public socket of a port. It keeps its name as long as there is one.
 fn listener(mapping: Mapping) -> ListenerId {
-    ListenerId(mapping.public_port.into())
+    let node = mapping.local_address.map_or(0, |_| mapping.node_address);
+    ListenerId(u32::from(mapping.public_port) << 8 | u32::from(node))
+}
+
+/// The end of a client's request.
+fn as_client_sends(net: &Net, credential: usize) -> Vec<u8> {
+    match net.kind.is_remote() {
+        true => Vec::new(),
+        false => net.credentials[credential].password.octets().to_vec(),
+    }
 }
 
 /// Adds to a digest what was seen.

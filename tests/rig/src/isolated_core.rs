@@ -12,8 +12,9 @@ use std::time::{Duration, Instant};
 use fastrand::Rng;
 use ipnet::IpNet;
 use pnet_nat::nat::{
-    Arrival, Chance, Core, Counters, Credential, Effects, Limits, ListenerId, Mapping, MappingId,
-    Net, NetId, NetKind, RequestRate, Rules, Succession, Table, ToServer, Transition, UpstreamId,
+    Arrival, Chance, Core, Counters, Credential, DropReason, Effects, Limits, ListenerId, Mapping,
+    MappingId, Net, NetId, NetKind, Payload, RequestRate, Rules, Succession, Table, ToClient,
+    ToServer, Transition, UpstreamId,
 };
 use pnet_nat::pnet::wire::{Header, Password};
 
@@ -48,6 +49,8 @@ pub struct Site {
     pub device_password: bool,
     /// What clients send.
     pub password: &'static [u8; 8],
+    /// Whether the nodes are in another plant, so that clients send no password.
+    pub is_remote: bool,
     /// Networks that clients may come from.
     pub allow: Vec<IpNet>,
 }
@@ -61,6 +64,7 @@ impl Default for Site {
             sockets: 100_000,
             device_password: false,
             password: PASSWORD,
+            is_remote: false,
             allow: vec!["10.0.0.0/8".parse().unwrap()],
         }
     }
@@ -68,6 +72,11 @@ impl Default for Site {
 
 impl Site {
     fn table_and_limits(&self) -> (Arc<Table>, Limits) {
+        let start_port = START_PORT;
+        let kind = match self.is_remote {
+            true => NetKind::Remote { start_port },
+            false => NetKind::UdpRange { start_port },
+        };
         let net = Net {
             allow: self.allow.clone(),
             credentials: vec![Credential {
@@ -80,11 +89,12 @@ impl Site {
             max_flows: self.max_flows,
             max_requests: self.max_requests,
             max_flow_requests: self.max_requests,
-            ..Net::new("section-1", NetKind::UdpRange { start_port: START_PORT })
+            ..Net::new("section-1", kind)
         };
         let mapping = |node_address| Mapping {
             net: NetId(0),
             node_address,
+            local_address: None,
             public_port: START_PORT + u16::from(node_address),
             server: server(node_address),
         };
@@ -156,6 +166,27 @@ impl Rig {
         Succession { rules, counters, transition }
     }
 
+    /// A request, in octets without room behind them.
+    #[inline]
+    pub fn request(
+        &mut self,
+        arrival: &Arrival,
+        octets: &mut [u8],
+    ) -> Result<ToServer, DropReason> {
+        self.core.request(self.now, arrival, &mut Payload::from(octets), &mut self.effects)
+    }
+
+    /// Something that a server sent to an upstream socket.
+    #[inline]
+    pub fn response(
+        &mut self,
+        via: UpstreamId,
+        server: SocketAddr,
+        octets: &mut [u8],
+    ) -> Result<ToClient, DropReason> {
+        self.core.response(self.now, via, server, &mut Payload::from(octets))
+    }
+
     /// Closes all that has to be closed by now.
     pub fn expire(&mut self) {
         while self.core.expire(self.now, &mut self.effects) {}
@@ -167,7 +198,7 @@ impl Rig {
         let (client, node_address) = (client_endpoint(client), node_address as u8 + 1);
         let arrival = arrival(client, node_address);
         let mut octets = request(node_address);
-        let to = self.core.request(self.now, &arrival, &mut octets, &mut self.effects).unwrap();
+        let to = self.request(&arrival, &mut octets).unwrap();
         assert_eq!(to.server, server(node_address));
         Flow { client, node_address, to }
     }

@@ -28,7 +28,8 @@ class NodeRow {
 
   constructor(node) {
     this.node = node.node;
-    const place = make("small", {}, `${node.public_port} → ${node.server}`);
+    const at = node.local_address === null ? "" : `${node.local_address}:`;
+    const place = make("small", {}, `${at}${node.public_port} → ${node.server}`);
     const head = make("th", { scope: "row" }, `${node.node}`, place);
     this.mark = make("span", { "aria-hidden": "true" });
     this.word = make("span");

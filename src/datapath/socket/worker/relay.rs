@@ -30,7 +30,7 @@ impl Worker {
         };
         let (mapping, address) = (listener.mapping, listener.address.ip());
         let mut refused = 0;
-        while let Some(incoming) = received.next_datagram() {
+        while let Some(mut incoming) = received.next_datagram() {
             let arrival = Arrival {
                 listener: id,
                 mapping,
@@ -40,10 +40,11 @@ impl Worker {
                 public_address: incoming.to.unwrap_or(address),
                 client: incoming.from,
             };
-            let octets = incoming.octets.len();
-            let verdict = self.core.request(now, &arrival, incoming.octets, &mut self.effects);
+            let payload = &mut incoming.payload;
+            let verdict = self.core.request(now, &arrival, payload, &mut self.effects);
             match verdict {
                 Ok(to) => {
+                    let octets = payload.len();
                     let direction = Direction::Request;
                     let tag = Tag { mapping, direction, octets, asks: to.asks };
                     received.queue(EventKey::Upstream(to.via).key(), None, to.server, tag);
@@ -71,10 +72,11 @@ impl Worker {
             }
         };
         let mut strays = 0;
-        while let Some(incoming) = received.next_datagram() {
-            let octets = incoming.octets.len();
-            match self.core.response(now, id, incoming.from, incoming.octets) {
+        while let Some(mut incoming) = received.next_datagram() {
+            let payload = &mut incoming.payload;
+            match self.core.response(now, id, incoming.from, payload) {
                 Ok(to) => {
+                    let octets = payload.len();
                     let (mapping, direction) = (to.mapping, Direction::Response);
                     let tag = Tag { mapping, direction, octets, asks: None };
                     let own = self.effects.public.get(to.via).and_then(Listener::own_address);

@@ -14,8 +14,8 @@ use std::time::{Duration, Instant};
 
 use pnet_nat::nat::{
     Arrival, Chance, CloseReason, Core, Counters, Credential, Direction, DropReason, Effects,
-    FlowRecord, ListenerId, Mapping, MappingId, NetId, Rules, Succession, Table, Throttled,
-    ToClient, Transition, UpstreamId,
+    FlowRecord, ListenerId, Mapping, MappingId, NetId, Payload, Rules, Succession, Table,
+    Throttled, ToClient, Transition, UpstreamId,
 };
 use pnet_nat::pnet::wire::{BNA, Datagram, Header, Password};
 
@@ -168,8 +168,10 @@ impl World {
             (flow.client, flow.public_address, flow.mapping) == (client, public_address, id)
         };
         let known = before.iter().any(is_its);
-        let mut got = sent.clone();
-        let verdict = self.core.request(self.now, &arrival, &mut got, &mut self.sockets);
+        let mut room = [&sent[..], &[0; Password::LEN]].concat();
+        let mut payload = Payload::new(&mut room, sent.len());
+        let verdict = self.core.request(self.now, &arrival, &mut payload, &mut self.sockets);
+        let got = payload.to_vec();
         let after = self.flows();
         let to = match verdict {
             Ok(to) => to,
@@ -195,10 +197,15 @@ impl World {
         assert_eq!(route.node_address(), Some(mapping.node_address), "R-10");
         assert!(route.destinations().all(|element| element < BNA), "R-43");
         let credential = flow.credential.map(|index| &net.credentials[index]);
-        assert_eq!(datagram.password(), credential.map(|is| is.password.octets()), "R-7");
-        assert!(credential.is_some() || net.allow_without_password, "R-3");
-        let expected = with_password(&sent, credential.map(|is| is.at_server()));
-        assert_eq!(got, expected, "R-8");
+        if net.kind.is_remote() {
+            assert_eq!(datagram.password(), None, "two passwords");
+            assert_eq!(got, [&sent, &net.credentials[0].password.octets()[..]].concat(), "R-3");
+        } else {
+            assert_eq!(datagram.password(), credential.map(|is| is.password.octets()), "R-7");
+            assert!(credential.is_some() || net.allow_without_password, "R-3");
+            let expected = with_password(&sent, credential.map(|is| is.at_server()));
+            assert_eq!(got, expected, "R-8");
+        }
 
         self.use_pair(flow.upstream_port, to.server, client);
         if input.octet() % 16 == 15 {
@@ -233,8 +240,11 @@ impl World {
         };
         let flow = before.iter().find(is_its);
         assert!(before.iter().filter(is_its).count() <= 1, "whose answer is it?");
-        let mut got = sent.clone();
-        let to = match self.core.response(self.now, via, server, &mut got) {
+        let mut room = sent.clone();
+        let mut payload = Payload::from(&mut room[..]);
+        let verdict = self.core.response(self.now, via, server, &mut payload);
+        let got = payload.to_vec();
+        let to = match verdict {
             Ok(to) => to,
             Err(reason) => {
                 assert!(DropReason::RESPONSE.contains(&reason), "{reason:?}");
@@ -255,7 +265,10 @@ impl World {
             Some(password) => {
                 let mut fit =
                     net.credentials.iter().filter(|is| is.at_server().octets() == password);
-                let as_sent = |is: &Credential| with_password(&sent, Some(&is.password)) == got;
+                let as_sent = |is: &Credential| match net.kind.is_remote() {
+                    true => sent == [&got, &is.password.octets()[..]].concat(),
+                    false => with_password(&sent, Some(&is.password)) == got,
+                };
                 assert!(fit.any(as_sent), "A16, R-8");
             }
             None => {
@@ -385,7 +398,8 @@ impl World {
 
 /// The public socket of a port. It keeps its name as long as there is one.
 fn listener(mapping: &Mapping) -> ListenerId {
-    ListenerId(mapping.public_port.into())
+    let node = if mapping.local_address.is_some() { mapping.node_address } else { 0 };
+    ListenerId(u32::from(mapping.public_port) << 8 | u32::from(node))
 }
 
 /// The octets with this password instead of their own.

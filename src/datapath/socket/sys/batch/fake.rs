@@ -230,8 +230,8 @@ fn batch(arrivals: impl IntoIterator<Item = Arrival>) -> Batch<Fake> {
 fn received(batch: &mut Batch<Fake>, most: usize, destination: Destination) -> Vec<Sent> {
     let mut received = batch.receive(socket(), most, destination).unwrap();
     let mut told = Vec::new();
-    while let Some(Incoming { from, to, octets }) = received.next_datagram() {
-        told.push((from, to, octets.to_vec()));
+    while let Some(Incoming { from, to, payload }) = received.next_datagram() {
+        told.push((from, to, payload.to_vec()));
     }
     told
 }
@@ -331,7 +331,7 @@ fn what_was_received_is_sent_on() {
         let most = [1, 4, 16, AT_ONCE][turn % 4];
         let mut received = batch.receive(socket(), most, destination(turn % 3 > 0)).unwrap();
         let is_over = received.count() == 0;
-        while let Some(Incoming { octets, .. }) = received.next_datagram() {
+        while let Some(Incoming { payload: mut octets, .. }) = received.next_datagram() {
             octets[0] ^= 0x80; // as a password is replaced
             let (key, len) = (u64::from(octets[1] & 1), octets.len());
             expected.push((key, octets.to_vec()));

@@ -24,7 +24,7 @@ use std::ptr;
 
 use nix::errno::Errno;
 
-use crate::nat::{Direction, FlowId, MappingId};
+use crate::nat::{Direction, FlowId, MappingId, Payload};
 
 use crate::datapath::socket::sys::address::{Control, Name};
 use calls::{Kernel, Linux};
@@ -93,7 +93,7 @@ pub(in crate::datapath) struct Incoming<'a> {
     /// The unicast address that the datagram was sent to, when the socket tells it.
     pub to: Option<IpAddr>,
     /// The datagram, or its beginning.
-    pub octets: &'a mut [u8],
+    pub payload: Payload<'a>,
 }
 
 /// A datagram that waits to be sent.
@@ -228,10 +228,11 @@ impl<K> Received<'_, K> {
             let message = &batch.incoming[index];
             let (name_len, control_len) =
                 (message.msg_hdr.msg_namelen, message.msg_hdr.msg_controllen as _);
-            let len = (message.msg_len as usize).min(SLOT);
+            let len = message.msg_len as usize; // of a datagram that was cut, more than a slot has
             if let Some(from) = batch.names[slot].address(name_len) {
                 let to = batch.controls[slot].local_address(control_len);
-                return Some(Incoming { from, to, octets: &mut self.batch.octets[slot].0[..len] });
+                let payload = Payload::new(&mut self.batch.octets[slot].0, len);
+                return Some(Incoming { from, to, payload });
             }
         }
         None

@@ -97,7 +97,7 @@ fn what_is_received_is_told_alike() {
                 let mut received = batch.receive(socket.as_fd(), most, destination(tells)).unwrap();
                 assert_eq!(received.count(), 1);
                 let incoming = received.next_datagram().unwrap();
-                assert_eq!(incoming.octets, octets);
+                assert_eq!(&*incoming.payload, octets);
                 assert_eq!(incoming.from, sender.local_addr().unwrap());
                 assert_eq!(incoming.to, tells.then(|| address.parse().unwrap()));
             }

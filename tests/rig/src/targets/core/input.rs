@@ -3,8 +3,9 @@
 
 use pnet_nat::pnet::wire::MAX_DATAGRAM;
 
-/// What clients may try as a password.
-const PASSWORDS: [&[u8; 8]; 5] = [b"service!", b"rotated!", b"press!!!", b"device!!", b"gu3ss3d!"];
+/// What clients may try as a password, or that they have none.
+const PASSWORDS: [&[u8]; 6] =
+    [b"service!", b"rotated!", b"press!!!", b"device!!", b"gu3ss3d!", b""];
 
 /// The rest of the input. At its end, every choice is the first one.
 pub(super) struct Input<'a>(&'a [u8]);

@@ -60,9 +60,17 @@ fn table(variant: u8, section_flows: u32, rate: Option<RequestRate>) -> Table {
     let mut open = net("open", NetKind::Server, Vec::new(), 150, 3);
     open.allow_without_password = true;
 
+    let remote = NetKind::Remote { start_port: 40_000 };
+    let mut other = vec![credential(b"remote-1", None), credential(b"remote-2", None)];
+    if differs(3) {
+        other.reverse();
+    }
+    let remote = net("plant-2", remote, other, 150, 4);
+
     let mapping = |net, node_address, public_port, server: &str| Mapping {
         net: NetId(net),
         node_address,
+        local_address: (net == 3).then(|| [127, 17, 2, node_address].into()),
         public_port,
         server: server.parse().unwrap(),
     };
@@ -72,6 +80,8 @@ fn table(variant: u8, section_flows: u32, rate: Option<RequestRate>) -> Table {
         mapping(0, 33, 40_033, third),
         mapping(1, 7, 40_200, "172.17.18.7:34379"),
         mapping(2, 8, 40_201, "172.17.18.8:34379"),
+        mapping(3, 1, 34_378, "203.0.113.5:40001"),
+        mapping(3, 2, 34_378, "203.0.113.5:40002"),
     ];
     if differs(5) {
         mappings.remove(0);
@@ -82,7 +92,7 @@ fn table(variant: u8, section_flows: u32, rate: Option<RequestRate>) -> Table {
     if differs(7) {
         mappings.retain(|mapping| mapping.net != NetId(2));
     }
-    Table::new(Header::default(), vec![section, press, open], mappings)
+    Table::new(Header::default(), vec![section, press, open, remote], mappings)
 }
 
 fn credential(password: &[u8; 8], device: Option<&[u8; 8]>) -> Credential {
