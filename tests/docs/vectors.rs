@@ -5,6 +5,7 @@ use std::fmt::Write;
 use std::net::SocketAddrV4;
 use std::time::Duration;
 
+use pnet_nat::nat::Payload;
 use pnet_nat::pnet::endpoint::client::{
     Arep, Attributes, Client, DestinationRoute, FlatAddressing, Outcome, Request, Source, Way,
 };
@@ -14,6 +15,8 @@ use pnet_nat::pnet::wire::{
     BNA, Datagram, DatagramRepr, DlRoute, Elements, Header, IpNetId, MAX_DATAGRAM, NORMAL_PORT,
     NodeAddress, Password, RouteFormat,
 };
+
+use pnet_nat_rig::isolated_core::{Rig, Site, arrival, client_endpoint, server as server_of};
 
 const PAGE: &str = include_str!("../../docs/vectors.md");
 const PASSWORD: &[u8; 8] = b"PNETPASS";
@@ -197,6 +200,47 @@ fn segments() -> String {
     table
 }
 
+/// Through a relay with a remote net: what a local program and the other plant's router send, and what
+/// becomes of it.
+fn adapter() -> String {
+    let mut rig = Rig::new(&Site { is_remote: true, ..Site::default() });
+    let program = arrival(client_endpoint(0), 4);
+    let (to_33, extended) = (route(&[11, 4, 2, 33], &[11, 3, 31]), route(&[11, 4], &[11, 3]));
+    let (back, back_extended) =
+        (route(&[125, 1, 31], &[11, 4, 2, 33, 0]), route(&[125, 1], &[11, 4, 0]));
+    let mut table = "| what | sent | passed on |\n|---|---|---|\n".to_owned();
+    let mut via = None;
+    for (what, request, password, is_request) in [
+        ("request, PAS Figure 10, to 127.17.2.4:34378", &to_33, None, true),
+        ("its answer, from the router's port", &back, Some(PASSWORD), false),
+        ("request, Extended", &extended, None, true),
+        (
+            "an answer without a password, with `require_response_password`",
+            &back_extended,
+            None,
+            false,
+        ),
+        ("a request with a password, even the right one", &to_33, Some(PASSWORD), true),
+        ("an answer with another password", &back, Some(b"WRONGPAS"), false),
+    ] {
+        let sent = emit(request, DATA, password);
+        let mut room = [&sent[..], &[0; Password::LEN]].concat();
+        let mut payload = Payload::new(&mut room, sent.len());
+        let Rig { core, effects, now, .. } = &mut rig;
+        let passed = match is_request {
+            true => {
+                let to = core.request(*now, &program, &mut payload, effects);
+                via = to.ok().map(|to| to.via).or(via);
+                to.is_ok()
+            }
+            false => core.response(*now, via.unwrap(), server_of(4), &mut payload).is_ok(),
+        };
+        let passed = if passed { format!("`{}`", hex(&payload)) } else { "none".to_owned() };
+        writeln!(table, "| {what} | `{}` | {passed} |", hex(&sent)).unwrap();
+    }
+    table
+}
+
 /// PAS 8, by the table of the page.
 fn translations() -> String {
     let ip_range = |router| Fields {
@@ -245,6 +289,7 @@ fn the_vectors_are_those_of_the_code() {
         ("Route formats", formats()),
         ("A server and its clients", exchanges()),
         ("A request in pieces", segments()),
+        ("An adapter", adapter()),
         ("Translation", translations()),
     ] {
         let (_, section) = PAGE.split_once(&format!("## {heading}\n")).unwrap();

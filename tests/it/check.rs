@@ -31,6 +31,18 @@ fn a_sound_configuration_shows_its_tables() {
 }
 
 #[test]
+fn a_remote_net_is_shown_with_its_addresses_here_and_there() {
+    let folder = folder(
+        "[[remote_net]]\nname = \"plant-2\"\nrouter = \"127.0.113.5\"\nstart_port = 40000\n\
+         nodes = [\"1-4\", 33]\nlocal_subnet = \"127.17.2.0\"\nallow = [\"127.0.0.0/8\"]\n\
+         [[remote_net.password]]\nname = \"service\"\nfile = \"secrets/section-1\"\n",
+    );
+    let mut checked = check(folder.path(), &["--config", "pnet-nat.toml"]);
+    assert_eq!((checked.end(), checked.stderr().as_str()), (Some(0), ""));
+    insta::assert_snapshot!(checked.stdout());
+}
+
+#[test]
 fn full_shows_a_line_for_each_node() {
     let folder = folder(&annotated());
     let mut checked = check(folder.path(), &["--config", "pnet-nat.toml", "--full"]);

@@ -72,6 +72,7 @@ fn read(path: &Path) -> Result<(Config, Vec<Warning>), ExitCode> {
 
 fn summary(config: &Config, full: bool) -> String {
     let listen: Vec<_> = config.listen.iter().map(IpAddr::to_string).collect();
+    let who = if listen.is_empty() { "local program" } else { "remote client" };
     let on = if listen.is_empty() { String::new() } else { format!(", on {}", listen.join(", ")) };
     let has_remote_nets = config.table.nets().iter().any(|net| net.kind.is_remote());
     let local = if has_remote_nets {
@@ -87,7 +88,7 @@ fn summary(config: &Config, full: bool) -> String {
     );
     format!(
         "The configuration has no faults. The NAT table{}:\n\n{}\n\n\
-         What a remote client enters in its IPNetTable:\n\n{}\n\n\
+         What a {who} enters in its IPNetTable:\n\n{}\n\n\
          Router: the node address of the router on the client's own net, as the client has it.\n{local}{}\n\
          {toml}",
         on,
