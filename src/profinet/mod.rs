@@ -5,6 +5,22 @@
 //! shows. What cannot be read is [`Malformed`], with the place. A block or an option that is not
 //! known keeps its number and its octets.
 
-mod octets;
+pub mod blocks;
+pub mod diagnosis;
+pub mod endpoint_mapper;
+pub mod ndr;
+pub mod records;
+pub mod rpc;
+pub mod status;
+pub mod view;
 
+mod address;
+mod octets;
+mod uuid;
+mod writer;
+
+pub use address::MacAddress;
 pub use octets::{ByteOrder, Malformed, Octets};
+pub use status::PnioStatus;
+pub use uuid::{ObjectUuid, Uuid};
+pub use writer::BufferTooSmall;

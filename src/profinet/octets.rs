@@ -28,17 +28,35 @@ pub struct Octets<'a> {
     left: &'a [u8],
     offset: usize,
     order: ByteOrder,
+    base: usize,
+    depth: u8,
 }
 
 impl<'a> Octets<'a> {
     /// All of these octets. The first one is octet 0, and numbers are big-endian.
     pub fn new(octets: &'a [u8]) -> Self {
-        Self { left: octets, offset: 0, order: ByteOrder::Big }
+        Self { left: octets, offset: 0, order: ByteOrder::Big, base: 0, depth: 0 }
     }
 
     /// The same octets, with numbers of this order.
     pub fn in_order(self, order: ByteOrder) -> Self {
         Self { order, ..self }
+    }
+
+    /// The same octets, of which the first one is at this offset. Padding counts from there.
+    pub fn starting_at(self, offset: usize) -> Self {
+        Self { offset, base: offset, ..self }
+    }
+
+    /// The same octets, one level further inside: those that a block holds. Padding counts from the next
+    /// octet less `header`.
+    pub(super) fn inside(self, header: usize) -> Self {
+        Self { base: self.offset - header.min(self.offset), depth: self.depth + 1, ..self }
+    }
+
+    /// In how many blocks these octets are.
+    pub(super) fn depth(&self) -> u8 {
+        self.depth
     }
 
     /// The order of numbers.
@@ -83,8 +101,8 @@ impl<'a> Octets<'a> {
 
     /// The next `len` octets as octets of their own, which keep their offsets.
     pub fn part(&mut self, len: usize) -> Result<Self, Malformed> {
-        let (offset, order) = (self.offset, self.order);
-        Ok(Self { left: self.take(len)?, offset, order })
+        let whole = *self;
+        Ok(Self { left: self.take(len)?, ..whole })
     }
 
     /// The next `N` octets.
@@ -93,9 +111,24 @@ impl<'a> Octets<'a> {
         taken.try_into().map_err(|_| self.wrong("the octets end too early"))
     }
 
+    /// Leaves out octets until a multiple of four has been read since the beginning of what is padded.
+    pub fn align(&mut self) -> Result<(), Malformed> {
+        let read = self.offset - self.base;
+        self.take(read.next_multiple_of(4) - read).map(drop)
+    }
+
     /// The next octet.
     pub fn u8(&mut self) -> Result<u8, Malformed> {
         self.array().map(u8::from_be_bytes)
+    }
+
+    /// The next eight octets as a number.
+    pub fn u64(&mut self) -> Result<u64, Malformed> {
+        let octets = self.array()?;
+        Ok(match self.order {
+            ByteOrder::Big => u64::from_be_bytes(octets),
+            ByteOrder::Little => u64::from_le_bytes(octets),
+        })
     }
 
     /// The next two octets as a number.
@@ -138,5 +171,15 @@ mod tests {
         assert_eq!((part.offset(), part.len(), octets.offset()), (2, 3, 5));
         assert_eq!(part.u32().unwrap_err().offset, 5);
         assert_eq!(octets.u16().unwrap_err().to_string(), "the octets end too early at octet 6");
+    }
+
+    #[test]
+    fn padding_goes_to_the_next_multiple_of_four() {
+        let mut octets = Octets::new(&[1, 0, 0, 0, 7]).starting_at(5);
+        octets.align().unwrap();
+        assert_eq!(octets.u8(), Ok(1));
+        octets.align().unwrap();
+        assert_eq!((octets.offset(), octets.u8()), (9, Ok(7)));
+        assert_eq!(octets.align().unwrap_err().offset, 10);
     }
 }
