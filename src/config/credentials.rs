@@ -10,12 +10,45 @@ use super::name::name;
 use super::secret::{device_password_file, make_password, password_file, path_of};
 use super::toml_table::{Entry, Section};
 
+/// What the file says of a net's passwords.
+pub(super) struct Passwords {
+    pub(super) credentials: Vec<Credential>,
+    /// Requests without a password pass.
+    pub(super) may_be_missing: bool,
+    /// Responses without a password are dropped.
+    pub(super) are_in_responses: bool,
+}
+
+impl Passwords {
+    /// Those of a protocol that knows none.
+    pub(super) const NONE: Self =
+        Self { credentials: Vec::new(), may_be_missing: true, are_in_responses: false };
+}
+
+/// The keys of a net about passwords.
+pub(super) fn passwords(section: &mut Section<'_>, kind: NetKind) -> Passwords {
+    let are_in_responses = section.key("require_response_password", "false");
+    // What a remote net sends has a password always.
+    let may_be_missing = !kind.is_remote() && allow_without_password(section);
+    let credentials = credentials(&section.key("password", ""), kind, may_be_missing);
+    let are_in_responses = are_in_responses.boolean().unwrap_or(false);
+    Passwords { credentials, may_be_missing, are_in_responses }
+}
+
+fn allow_without_password(section: &mut Section<'_>) -> bool {
+    let entry = section.key("allow_without_password", "false");
+    let allow = entry.boolean().unwrap_or(false);
+    if allow {
+        entry.warn(
+            "requests without a password reach the plant, which PAS 7 forbids",
+            "use it only while no client can send one, and keep `allow` narrow",
+        );
+    }
+    allow
+}
+
 /// The credentials of a net: at least one, unless it allows requests without a password.
-pub(super) fn credentials(
-    entry: &Entry<'_>,
-    kind: NetKind,
-    allow_without_password: bool,
-) -> Vec<Credential> {
+fn credentials(entry: &Entry<'_>, kind: NetKind, allow_without_password: bool) -> Vec<Credential> {
     let Some(sections) = entry.sections() else { return Vec::new() };
     if sections.is_empty() && !allow_without_password {
         // A4, PAS 7

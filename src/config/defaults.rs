@@ -10,6 +10,9 @@ use super::model::{Datapath, Log, Prefilter, Runtime};
 pub(super) const NET_MAX_FLOWS: u32 = 4096;
 /// Of a net: `idle_timeout`.
 pub(super) const IDLE_TIMEOUT: Duration = Duration::from_secs(5 * 60);
+/// A flow of a PROFINET device ends after this time without a datagram. Its calls are short, and each can
+/// begin a new flow.
+pub(super) const CALL_TIMEOUT: Duration = Duration::from_secs(60);
 /// Of all nets: `[limits] max_flows`.
 pub(super) const MAX_FLOWS: u32 = 65_536;
 /// `wrong_password_burst`.

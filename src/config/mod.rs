@@ -27,6 +27,7 @@ mod node_range;
 mod odd;
 mod overlap;
 mod peek;
+mod profinet_device;
 mod remote_net;
 mod report;
 mod restart;
@@ -117,6 +118,7 @@ fn read(mut root: Section<'_>, host: &dyn Host, in_force: Option<&Table>) -> Opt
     let header = sections::protocol(root.key("protocol", "").section());
     let ranges = root.key("udp_range_net", "").sections();
     let servers = root.key("server", "").sections();
+    let devices = root.key("profinet_device", "").sections();
     let remote_nets = root.key("remote_net", "").sections();
     let limits = sections::limits(root.key("limits", "").section());
     let datapath = sections::datapath(root.key("datapath", "").section());
@@ -125,15 +127,17 @@ fn read(mut root: Section<'_>, host: &dyn Host, in_force: Option<&Table>) -> Opt
     let admin = sections::admin(root.key("admin", "").section());
     root.finish();
 
-    let is_empty = |nets: &Option<Vec<_>>| nets.as_ref().is_some_and(Vec::is_empty);
+    let is_empty = |nets: &Option<Vec<Section<'_>>>| nets.as_ref().is_some_and(Vec::is_empty);
     let has_remote_nets = !is_empty(&remote_nets);
-    if !has_remote_nets && is_empty(&ranges) && is_empty(&servers) {
-        let remedy = "add a [[udp_range_net]], a [[server]] or a [[remote_net]]";
+    if !has_remote_nets && [&ranges, &servers, &devices].into_iter().all(is_empty) {
+        let remedy =
+            "add a [[udp_range_net]], a [[server]], a [[profinet_device]] or a [[remote_net]]";
         report.fault(&place, "there is nothing to relay".into(), remedy.into());
     }
     let ranges = ranges.into_iter().flatten().map(net::udp_range_net);
     let servers = servers.into_iter().flatten().map(net::server);
-    let mut drafts: Vec<Draft<'_>> = ranges.chain(servers).collect();
+    let devices = devices.into_iter().flatten().map(profinet_device::profinet_device);
+    let mut drafts: Vec<Draft<'_>> = ranges.chain(servers).chain(devices).collect();
     let listeners = match drafts.is_empty() && public.is_absent() && has_remote_nets {
         true => Vec::new(), // nobody comes from outside
         false => sections::public(public.section()),

@@ -12,7 +12,7 @@ use crate::nat::{Net, NetKind, RequestRate};
 use crate::pnet::wire::{BNA, LAST_NODE, LAST_START_PORT, NORMAL_PORT, SECURE_PORT, SNA};
 
 use super::address::{endpoint, is_a_host, is_link_local, network};
-use super::credentials::credentials;
+use super::credentials::{Passwords, passwords};
 use super::defaults;
 use super::node_range::nodes;
 use super::report::{SourceSpan, quoted};
@@ -77,14 +77,14 @@ impl Draft<'_> {
             NetKind::UdpRange { start_port } => {
                 BROADCASTS.iter().filter_map(|node| start_port.checked_add(*node)).collect()
             }
-            NetKind::Server | NetKind::Remote { .. } => Vec::new(),
+            NetKind::Server | NetKind::Remote { .. } | NetKind::ProfinetDevice { .. } => Vec::new(),
         }
     }
 }
 
 impl PublicPort {
     /// A port at every address of `[public] listen`.
-    fn everywhere(port: u16) -> Self {
+    pub(super) fn everywhere(port: u16) -> Self {
         Self { address: None, port }
     }
 }
@@ -96,7 +96,7 @@ pub(super) struct Rules<'a> {
 }
 
 impl<'a> Allowed<'a> {
-    fn of(networks: Vec<(Entry<'a>, IpNet)>) -> Self {
+    pub(super) fn of(networks: Vec<(Entry<'a>, IpNet)>) -> Self {
         let mut allowed = Self::default();
         for (entry, network) in networks {
             let first =
@@ -175,15 +175,15 @@ pub(super) fn server(mut section: Section<'_>) -> Draft<'_> {
 /// The keys that all nets share.
 pub(super) fn rules<'a>(section: &mut Section<'a>, name: &Entry<'_>, kind: NetKind) -> Rules<'a> {
     let allow = section.key("allow", "[\"198.51.100.0/24\"]").required();
-    let idle_timeout = section.key("idle_timeout", "\"5m\"");
+    let has_passwords = !matches!(kind, NetKind::ProfinetDevice { .. });
+    let idle_timeout = match has_passwords {
+        true => idle_timeout(&section.key("idle_timeout", "\"5m\"")),
+        false => defaults::CALL_TIMEOUT,
+    };
     let max_flows = section.key("max_flows", "4096");
     let max_requests = section.key("max_requests_per_second", "200");
     let max_flow_requests = section.key("max_flow_requests_per_second", "20");
-    let require_response_password = section.key("require_response_password", "false");
-    // What a remote net sends has a password always, and there is one for both ends.
-    let is_remote = kind.is_remote();
-    let allow_without_password = !is_remote && allow_without_password(section);
-    let passwords = section.key("password", "");
+    let passwords = if has_passwords { passwords(section, kind) } else { Passwords::NONE };
     let networks = allow.list().into_iter().filter_map(|element| {
         let network = network(&element)?;
         Some((element, network))
@@ -193,10 +193,10 @@ pub(super) fn rules<'a>(section: &mut Section<'a>, name: &Entry<'_>, kind: NetKi
         name: super::name::name(name).unwrap_or_default(),
         kind,
         allow: networks.iter().map(|(_, network)| *network).collect(),
-        credentials: credentials(&passwords, kind, allow_without_password),
-        allow_without_password,
-        require_response_password: require_response_password.boolean().unwrap_or(false),
-        idle_timeout: self::idle_timeout(&idle_timeout),
+        credentials: passwords.credentials,
+        allow_without_password: passwords.may_be_missing,
+        require_response_password: passwords.are_in_responses,
+        idle_timeout,
         max_flows: max_flows.integer(1..=MOST_FLOWS).unwrap_or(defaults::NET_MAX_FLOWS),
         max_requests: request_rate(&max_requests),
         max_flow_requests: request_rate(&max_flow_requests),
@@ -204,16 +204,14 @@ pub(super) fn rules<'a>(section: &mut Section<'a>, name: &Entry<'_>, kind: NetKi
     Rules { net, networks }
 }
 
-fn allow_without_password(section: &mut Section<'_>) -> bool {
-    let entry = section.key("allow_without_password", "false");
-    let allow = entry.boolean().unwrap_or(false);
-    if allow {
-        entry.warn(
-            "requests without a password reach the plant, which PAS 7 forbids",
-            "use it only while no client can send one, and keep `allow` narrow",
+/// Refuses a network of all addresses, and says why.
+pub(super) fn refuse_everybody(entry: &Entry<'_>, network: &IpNet, why: &str) {
+    if network.prefix_len() == 0 {
+        entry.fault(
+            format!("{} is every address: {why}", quoted(&network.to_string())),
+            "name the networks that need it, like \"198.51.100.0/28\"",
         );
     }
-    allow
 }
 
 fn request_rate(entry: &Entry<'_>) -> Option<RequestRate> {
@@ -306,7 +304,7 @@ fn refuse_normal_port(entry: &Entry<'_>, port: u16) {
     }
 }
 
-fn warn_of_privileged_ports(ports: &Claim<'_, PublicPort>) {
+pub(super) fn warn_of_privileged_ports(ports: &Claim<'_, PublicPort>) {
     if let Some(PublicPort { port, .. }) =
         ports.values.iter().find(|public| public.port < FIRST_UNPRIVILEGED_PORT)
     {

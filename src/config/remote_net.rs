@@ -12,9 +12,10 @@ use crate::nat::NetKind;
 use crate::pnet::wire::NORMAL_PORT;
 
 use super::address::{address, is_a_host};
-use super::net::{Allowed, Claim, Draft, PublicPort, Rules, rules, start_port, subnet};
+use super::net::{
+    Allowed, Claim, Draft, PublicPort, Rules, refuse_everybody, rules, start_port, subnet,
+};
 use super::node_range::nodes;
-use super::report::quoted;
 use super::toml_table::{Entry, Section};
 
 /// server = router : start port + node address, local address = local subnet + node address.
@@ -72,15 +73,8 @@ fn router(entry: &Entry<'_>) -> Option<IpAddr> {
 
 /// Who may send without a password: never everybody.
 fn check_local(entry: &Entry<'_>, network: &IpNet) {
-    if network.prefix_len() == 0 {
-        entry.fault(
-            format!(
-                "{} lets everybody into the other plant without a password",
-                quoted(&network.to_string())
-            ),
-            "name the networks of the local programs, like \"127.0.0.0/8\"",
-        );
-    } else if network.addr().is_ipv6() {
+    refuse_everybody(entry, network, "they could enter the other plant without a password");
+    if network.prefix_len() > 0 && network.addr().is_ipv6() {
         entry.warn(
             format!(
                 "no program with an address in {network} can use the net: local addresses are IPv4"

@@ -58,7 +58,7 @@ fn plants(nets: &[Net], mappings: &[Mapping]) -> Vec<IpNet> {
             (NetKind::UdpRange { .. }, IpAddr::V4(server)) => {
                 Some(IpNet::V4(Ipv4Net::new_assert(server, SECTION).trunc()))
             }
-            (NetKind::UdpRange { .. } | NetKind::Server, server) => Some(IpNet::from(server)),
+            (_, server) => Some(IpNet::from(server)),
         }
     };
     let plants: Vec<_> = mappings.iter().filter_map(plant).collect();

@@ -7,11 +7,12 @@ use super::ids::{ListenerId, MappingId, NetId, UpstreamId};
 use super::reason::CloseReason;
 use super::table::Table;
 use super::throttled::Throttled;
+use super::upstream_ports::SocketKind;
 
 /// What the core asks of the world around it. It is called when a flow opens or closes and when
 /// throttling begins or ends, not for each datagram. Where nothing is said, a method does nothing.
 pub trait Effects {
-    /// Opens the upstream socket `id` for IPv4 or IPv6 servers and returns its local port; none when
+    /// Opens the upstream socket `id` of this kind and returns its local port; none when
     /// no socket is free. A client of `net`, of this table, needs it, but it may serve clients of
     /// other nets too.
     fn open_upstream(
@@ -19,7 +20,7 @@ pub trait Effects {
         table: &Table,
         id: UpstreamId,
         net: NetId,
-        ipv4: bool,
+        kind: SocketKind,
     ) -> Option<u16>;
 
     /// Closes the upstream socket `id`.

@@ -4,6 +4,7 @@ use std::net::{IpAddr, SocketAddr};
 use std::time::Duration;
 
 use super::ids::{ListenerId, MappingId, UpstreamId};
+use super::protocol::Conversation;
 use super::time::Nanos;
 
 /// A request without an answer for longer than this counts as lost. Its answer is not due any more,
@@ -22,7 +23,8 @@ pub(super) struct Endpoints {
 #[derive(Debug)]
 pub(super) struct Flow {
     pub endpoints: Endpoints,
-    /// It stays the same as long as the flow is open; the index of its mapping may change.
+    /// Who answers: see [`Table::answers_from`](super::table::Table::answers_from). It stays the same
+    /// as long as the flow is open; the index of its mapping may change.
     pub server: SocketAddr,
     /// In the table of its era, as the credentials are.
     pub mapping: MappingId,
@@ -38,6 +40,8 @@ pub(super) struct Flow {
     /// When the last datagram passed, in either direction (RFC 4787 REQ-6).
     pub last_used: Nanos,
     pub answers: Answers,
+    /// What its protocol has to remember of it.
+    pub conversation: Conversation,
     /// The number of the reload whose rules it stands under.
     pub era: u32,
     /// The bucket of its requests, if the net limits them for each flow.

@@ -46,6 +46,9 @@ pub use ids::{FlowId, ListenerId, MappingId, NetId, UpstreamId};
 pub use last_sender::LastSender;
 pub use net::{Credential, Mapping, Net, NetKind};
 pub use payload::Payload;
+#[cfg(test)]
+pub(crate) use protocol::is_sound_call;
+pub use protocol::{NoSuchRecord, Record, Records};
 pub use reason::{CloseReason, Direction, DropReason};
 pub use response_times::{FINE_BOUNDS, FINE_BUCKETS, RESPONSE_BUCKETS, ResponseTimes};
 pub use rules::Rules;
@@ -53,3 +56,4 @@ pub use source_sketch::SourceSketch;
 pub use table::{Limits, Table};
 pub use throttled::{ThrottleScope, Throttled};
 pub use transition::Transition;
+pub use upstream_ports::SocketKind;

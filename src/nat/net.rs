@@ -8,7 +8,8 @@ use subtle::ConditionallySelectable;
 
 use super::gcra::RequestRate;
 use super::ids::NetId;
-use super::protocol::Password;
+use super::protocol::{Password, Records};
+use super::reason::{Direction, DropReason};
 
 /// What a net is to its clients.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -27,6 +28,11 @@ pub enum NetKind {
         /// UDPPort of the other plant's UDP Range net.
         start_port: u16,
     },
+    /// One PROFINET device, of which some records may be read. Its protocol has no passwords.
+    ProfinetDevice {
+        /// These records.
+        records: Records,
+    },
 }
 
 impl NetKind {
@@ -34,6 +40,28 @@ impl NetKind {
     #[inline]
     pub fn is_remote(self) -> bool {
         matches!(self, Self::Remote { .. })
+    }
+
+    /// The reasons for which a datagram of this direction can be dropped.
+    pub const fn drop_reasons(self, direction: Direction) -> &'static [DropReason] {
+        match (self, direction) {
+            (Self::ProfinetDevice { .. }, Direction::Request) => &DropReason::RPC_REQUEST,
+            (Self::ProfinetDevice { .. }, Direction::Response) => &DropReason::RPC_RESPONSE,
+            (_, Direction::Request) => &DropReason::REQUEST,
+            (_, Direction::Response) => &DropReason::RESPONSE,
+        }
+    }
+
+    /// Whether the server answers from any port, so that its address alone tells who answers.
+    #[inline]
+    pub fn answers_from_any_port(self) -> bool {
+        matches!(self, Self::ProfinetDevice { .. })
+    }
+
+    /// Whether datagrams may be longer than those of P-NET.
+    #[inline]
+    pub fn has_long_datagrams(self) -> bool {
+        matches!(self, Self::ProfinetDevice { .. })
     }
 }
 
@@ -125,7 +153,8 @@ impl Credential {
 pub struct Mapping {
     /// The net it belongs to.
     pub net: NetId,
-    /// P-NET node address of the server, 1 to [`LAST_NODE`](crate::pnet::wire::LAST_NODE).
+    /// P-NET node address of the server, 1 to [`LAST_NODE`](crate::pnet::wire::LAST_NODE); 0 for a
+    /// PROFINET device.
     pub node_address: u8,
     /// The one address of the router to which clients send, in a remote net; none: every address of
     /// `[public] listen`.

@@ -24,12 +24,15 @@ impl Direction {
         }
     }
 
-    /// The reasons for which a datagram of this direction can be dropped.
-    pub const fn drop_reasons(self) -> &'static [DropReason] {
-        match self {
-            Self::Request => &DropReason::REQUEST,
-            Self::Response => &DropReason::RESPONSE,
-        }
+    /// The reasons for which a datagram of this direction can be dropped, of any protocol: each
+    /// once.
+    pub fn drop_reasons(self) -> impl Iterator<Item = DropReason> {
+        let (p_net, rpc) = match self {
+            Self::Request => (&DropReason::REQUEST[..], &DropReason::RPC_REQUEST[..]),
+            Self::Response => (&DropReason::RESPONSE[..], &DropReason::RPC_RESPONSE[..]),
+        };
+        let others = rpc.iter().filter(|reason| !p_net.contains(reason));
+        p_net.iter().chain(others).copied()
     }
 }
 
@@ -40,7 +43,7 @@ pub enum DropReason {
     NotUnicast,
     /// Fewer octets than any datagram that could pass.
     TooShort,
-    /// More octets than the largest datagram has (107).
+    /// More octets than the largest datagram has: 107 of P-NET, 1472 of PROFINET.
     TooLong,
     /// The first four octets are not the configured header.
     BadHeader,
@@ -71,6 +74,27 @@ pub enum DropReason {
     /// A destination in the route is a broadcast address, [`BNA`](crate::pnet::wire::BNA) or
     /// [`SNA`](crate::pnet::wire::SNA).
     Broadcast,
+    /// The datagram is of a type that does not travel in this direction.
+    PacketType,
+    /// The call is for another interface than that of an IO device or an endpoint mapper, or for an
+    /// operation that these do not have.
+    RpcInterface,
+    /// The call would open a connection to a device.
+    RpcConnect,
+    /// The call would end a connection.
+    RpcRelease,
+    /// The call reads in a connection.
+    RpcRead,
+    /// The call would write a record.
+    RpcWrite,
+    /// The call would control a connection.
+    RpcControl,
+    /// The arguments of the call, or of its answer, are malformed.
+    BadNdr,
+    /// The record that is to be read is not one of those that may be.
+    RecordNotAllowed,
+    /// The datagram belongs to no call that is under way.
+    UnknownExchange,
     /// More requests a second than the flow or the net may send.
     RequestLimit,
     /// The net's or the router's limit of flows is reached, by open flows or by flows that ended
@@ -91,7 +115,7 @@ impl DropReason {
     /// How many reasons there are.
     pub const COUNT: usize = Self::VARIANTS.len();
 
-    /// The reasons to drop a request, in the order of the checks.
+    /// The reasons to drop a request of P-NET, in the order of the checks.
     ///
     /// Before a flow opens, [`Loop`](Self::Loop) and [`Unanswerable`](Self::Unanswerable) are
     /// checked again, then with the help of the system.
@@ -118,7 +142,7 @@ impl DropReason {
         Self::SendFailed,
     ];
 
-    /// The reasons to drop a response, in the order of the checks.
+    /// The reasons to drop a response of P-NET, in the order of the checks.
     ///
     /// [`BadRoute`](Self::BadRoute) is checked again after [`BadLength`](Self::BadLength): the
     /// format of a route that is well formed may not be used over IP.
@@ -130,6 +154,49 @@ impl DropReason {
         Self::BadRoute,
         Self::BadLength,
         Self::PasswordMismatch,
+        Self::SendFailed,
+    ];
+
+    /// The reasons to drop what a client sends to a PROFINET device.
+    ///
+    /// The first ones are in the order of the checks. [`BadNdr`](Self::BadNdr) is checked last
+    /// among those that octets alone show.
+    pub const RPC_REQUEST: [Self; 23] = [
+        Self::NotUnicast,
+        Self::TooShort,
+        Self::TooLong,
+        Self::BadHeader,
+        Self::BadLength,
+        Self::Broadcast,
+        Self::PacketType,
+        Self::RpcInterface,
+        Self::RpcConnect,
+        Self::RpcRelease,
+        Self::RpcRead,
+        Self::RpcWrite,
+        Self::RpcControl,
+        Self::RecordNotAllowed,
+        Self::BadNdr,
+        Self::Loop,
+        Self::Unanswerable,
+        Self::SourceNotAllowed,
+        Self::UnknownExchange,
+        Self::RequestLimit,
+        Self::FlowLimit,
+        Self::UpstreamExhausted,
+        Self::SendFailed,
+    ];
+
+    /// The reasons to drop what a PROFINET device sends, in the order of the checks.
+    pub const RPC_RESPONSE: [Self; 9] = [
+        Self::UnknownFlow,
+        Self::TooShort,
+        Self::TooLong,
+        Self::BadHeader,
+        Self::BadLength,
+        Self::PacketType,
+        Self::BadNdr,
+        Self::UnknownExchange,
         Self::SendFailed,
     ];
 
@@ -152,6 +219,16 @@ impl DropReason {
             Self::Throttled => "throttled",
             Self::NodeMismatch => "node_mismatch",
             Self::Broadcast => "broadcast",
+            Self::PacketType => "packet_type",
+            Self::RpcInterface => "rpc_interface",
+            Self::RpcConnect => "rpc_connect",
+            Self::RpcRelease => "rpc_release",
+            Self::RpcRead => "rpc_read",
+            Self::RpcWrite => "rpc_write",
+            Self::RpcControl => "rpc_control",
+            Self::BadNdr => "bad_ndr",
+            Self::RecordNotAllowed => "record_not_allowed",
+            Self::UnknownExchange => "unknown_exchange",
             Self::RequestLimit => "request_limit",
             Self::FlowLimit => "flow_limit",
             Self::UpstreamExhausted => "upstream_exhausted",
@@ -180,6 +257,16 @@ impl DropReason {
             Self::Throttled => ("throttled request", "throttled requests"),
             Self::NodeMismatch => ("wrong node address", "wrong node addresses"),
             Self::Broadcast => ("broadcast", "broadcasts"),
+            Self::PacketType => ("packet of another type", "packets of another type"),
+            Self::RpcInterface => ("call to another interface", "calls to another interface"),
+            Self::RpcConnect => ("refused Connect", "refused Connects"),
+            Self::RpcRelease => ("refused Release", "refused Releases"),
+            Self::RpcRead => ("refused Read in a connection", "refused Reads in a connection"),
+            Self::RpcWrite => ("refused Write", "refused Writes"),
+            Self::RpcControl => ("refused Control", "refused Controls"),
+            Self::BadNdr => ("malformed call", "malformed calls"),
+            Self::RecordNotAllowed => ("record not allowed", "records not allowed"),
+            Self::UnknownExchange => ("datagram without its call", "datagrams without their call"),
             Self::RequestLimit => ("request over the limit", "requests over the limit"),
             Self::FlowLimit => ("flow over the limit", "flows over the limit"),
             Self::UpstreamExhausted => ("flow without a socket", "flows without a socket"),
@@ -236,6 +323,30 @@ impl DropReason {
             }
             Self::Broadcast => {
                 "The route names node address 126 or 127. Broadcasts do not cross a NAT router."
+            }
+            Self::PacketType => {
+                "A packet type that only the other side sends: a device that calls by itself, as in a connection, or noise."
+            }
+            Self::RpcInterface => {
+                "A call to something else than an IO device or an endpoint mapper, or an operation that these do not have."
+            }
+            Self::RpcConnect => {
+                "Connect: a controller that wants to control the device. Only reading crosses the router."
+            }
+            Self::RpcRelease => "Release: it ends a connection, and none crosses the router.",
+            Self::RpcRead => {
+                "Read in a connection. Outside of one, the client has to use Read Implicit."
+            }
+            Self::RpcWrite => "Write: it would change the device. Only reading crosses the router.",
+            Self::RpcControl => "Control: it belongs to a connection, and none crosses the router.",
+            Self::BadNdr => {
+                "The arguments contradict each other or the length of the datagram. Such calls have hung devices."
+            }
+            Self::RecordNotAllowed => {
+                "A record that `records` does not list. Add it if the client should read it."
+            }
+            Self::UnknownExchange => {
+                "It belongs to no call that is known: late by more than 10 s, or noise."
             }
             Self::RequestLimit => {
                 "With the right password, but more a second than `max_requests_per_second` or `max_flow_requests_per_second` lets through: a client that polls too fast, or one that is taken over."
@@ -300,13 +411,12 @@ mod tests {
     #[test]
     fn every_reason_belongs_to_a_direction_once() {
         for reason in DropReason::VARIANTS {
-            let has_it = |direction: Direction| direction.drop_reasons().contains(reason);
+            let has_it = |direction: Direction| direction.drop_reasons().any(|it| it == *reason);
             assert!(Direction::ALL.into_iter().any(has_it), "{reason:?}");
         }
         for direction in Direction::ALL {
-            let reasons = direction.drop_reasons();
-            let distinct: std::collections::HashSet<_> = reasons.iter().collect();
-            assert_eq!(distinct.len(), reasons.len(), "{direction:?}");
+            let distinct: std::collections::HashSet<_> = direction.drop_reasons().collect();
+            assert_eq!(distinct.len(), direction.drop_reasons().count(), "{direction:?}");
         }
     }
 

@@ -13,6 +13,7 @@ use super::allowed_sources::Sources;
 use super::ids::{MappingId, NetId};
 use super::net::{Mapping, Net};
 use super::protocol::Header;
+use super::upstream_ports::SocketKind;
 
 /// Limits of the router as a whole.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -38,8 +39,15 @@ pub struct Table {
     sources: Vec<Arc<Sources>>,
     /// The mappings in the order of their nets.
     by_net: Vec<MappingId>,
-    /// The operator has written all its keys, so nobody can make their hashes collide.
+    /// By the address and port that the server answers from. The operator has written all its keys,
+    /// so nobody can make their hashes collide.
     by_server: HashMap<SocketAddr, MappingId, FixedState>,
+}
+
+/// The address of a server that answers from any port.
+#[inline]
+pub(super) fn any_port(server: SocketAddr) -> SocketAddr {
+    SocketAddr::new(server.ip(), 0)
 }
 
 impl Table {
@@ -48,9 +56,21 @@ impl Table {
         let ids = (0..).map(MappingId);
         let mut by_net: Vec<_> = ids.clone().take(mappings.len()).collect();
         by_net.sort_by_key(|id| mappings[id.0 as usize].net.0);
-        let by_server = mappings.iter().map(|mapping| mapping.server).zip(ids).collect();
         let sources = Sources::of(&nets, &mappings);
-        Self { header, nets, mappings, sources, by_net, by_server }
+        let by_server = HashMap::default();
+        let mut table = Self { header, nets, mappings, sources, by_net, by_server };
+        table.by_server =
+            table.mappings.iter().map(|mapping| table.answers_from(mapping)).zip(ids).collect();
+        table
+    }
+
+    /// Where a mapping's server answers from. The port is 0 when it may be any.
+    #[inline]
+    pub(super) fn answers_from(&self, mapping: &Mapping) -> SocketAddr {
+        match self.net(mapping.net).kind.answers_from_any_port() {
+            true => any_port(mapping.server),
+            false => mapping.server,
+        }
     }
 
     /// The nets, in the order of their [`NetId`].
@@ -98,8 +118,15 @@ impl Table {
         self.mappings[id.0 as usize]
     }
 
-    /// The mapping of the server with this address.
+    /// The kind of upstream socket that a mapping's server needs.
+    pub fn socket_kind(&self, mapping: &Mapping) -> SocketKind {
+        let is_long = self.net(mapping.net).kind.has_long_datagrams();
+        SocketKind { ipv4: mapping.server.is_ipv4(), is_long }
+    }
+
+    /// The mapping of the server that answers from this address and port.
     pub fn mapping_of_server(&self, server: SocketAddr) -> Option<MappingId> {
-        self.by_server.get(&server).copied()
+        let found = self.by_server.get(&server).or_else(|| self.by_server.get(&any_port(server)));
+        found.copied()
     }
 }

@@ -15,7 +15,8 @@ use super::table::Table;
 /// Which mappings, credentials and sockets of one table are in the next.
 #[derive(Debug)]
 pub struct Transition {
-    /// For each old mapping, the new one with the same net, node, address, port and server.
+    /// For each old mapping, the new one with the same net, node, address, port and server, and with
+    /// the same records of a PROFINET device.
     mappings: Box<[Option<MappingId>]>,
     /// For each old net and credential, the new credential with the same passwords.
     credentials: Box<[Box<[Option<u16>]>]>,
@@ -41,8 +42,9 @@ impl Transition {
             let net = nets[usize::from(was.net.0)]?;
             new.mapping_of_server(was.server).filter(|&mapping| {
                 let is = new.mapping(mapping);
-                (is.net, is.local_address, is.public_port, is.node_address)
-                    == (net, was.local_address, was.public_port, was.node_address)
+                (is.net, is.server, is.local_address, is.public_port, is.node_address)
+                    == (net, was.server, was.local_address, was.public_port, was.node_address)
+                    && new.net(net).kind == old.net(was.net).kind
             })
         });
         let credentials = old.nets().iter().zip(&nets).map(|(was, is)| {

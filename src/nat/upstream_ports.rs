@@ -18,7 +18,7 @@ use slab::Slab;
 
 use super::budget::LeasePlace;
 use super::effects::Effects;
-use super::ids::UpstreamId;
+use super::ids::{NetId, UpstreamId};
 use super::net::Mapping;
 use super::queue::Queue;
 use super::reason::DropReason;
@@ -69,9 +69,18 @@ pub(super) struct Upstreams {
     random: fastrand::Rng,
 }
 
+/// What an upstream socket carries. Flows share a socket only with their like.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SocketKind {
+    /// IPv4, otherwise IPv6.
+    pub ipv4: bool,
+    /// Whether datagrams may be longer than those of P-NET.
+    pub is_long: bool,
+}
+
 #[derive(Debug)]
 struct Socket {
-    ipv4: bool,
+    kind: SocketKind,
     port: u16,
     /// Its index in `open`.
     place: usize,
@@ -137,8 +146,9 @@ impl Upstreams {
         rules: &Rules,
         effects: &mut impl Effects,
     ) -> Result<(UpstreamId, u16), DropReason> {
-        let server = mapping.server;
-        let kept = self.kept_socket(owner, server);
+        let server = rules.table.answers_from(mapping);
+        let kind = rules.table.socket_kind(mapping);
+        let kept = self.kept_socket(owner, kind, server);
         if let Some(socket) = kept
             && let Some(lease) = self.leases.get_mut(&(socket, server))
         {
@@ -147,9 +157,9 @@ impl Upstreams {
         }
         let place = rules.budget.take_lease(mapping.net).ok_or(DropReason::FlowLimit)?;
         let socket = kept
-            .or_else(|| self.probe(owner, server))
-            .or_else(|| self.open(&rules.table, mapping, effects))
-            .or_else(|| self.search(owner, server))
+            .or_else(|| self.probe(owner, kind, server))
+            .or_else(|| self.open(&rules.table, mapping.net, kind, effects))
+            .or_else(|| self.search(owner, kind, server))
             .ok_or(DropReason::UpstreamExhausted)?;
         let lease = Lease { owner, state: LeaseState::InUse, _place: place };
         if self.leases.insert((socket, server), lease).is_none() {
@@ -263,50 +273,63 @@ impl Upstreams {
         }
     }
 
-    fn kept_socket(&self, owner: Owner, server: SocketAddr) -> Option<UpstreamId> {
+    fn kept_socket(
+        &self,
+        owner: Owner,
+        kind: SocketKind,
+        server: SocketAddr,
+    ) -> Option<UpstreamId> {
         let affinity = self.affinities.get(&owner.affinity())?;
-        self.may_use(affinity.socket, owner, server).then_some(affinity.socket)
+        self.may_use(affinity.socket, owner, kind, server).then_some(affinity.socket)
     }
 
-    fn probe(&mut self, owner: Owner, server: SocketAddr) -> Option<UpstreamId> {
+    fn probe(&mut self, owner: Owner, kind: SocketKind, server: SocketAddr) -> Option<UpstreamId> {
         for _ in 0..PROBES.min(self.open.len()) {
             let socket = self.open[self.random.usize(..self.open.len())];
-            if self.may_use(socket, owner, server) {
+            if self.may_use(socket, owner, kind, server) {
                 return Some(socket);
             }
         }
         None
     }
 
-    fn search(&mut self, owner: Owner, server: SocketAddr) -> Option<UpstreamId> {
+    fn search(&mut self, owner: Owner, kind: SocketKind, server: SocketAddr) -> Option<UpstreamId> {
         let (before, from) = self.open.split_at(self.random.usize(..=self.open.len()));
         let mut sockets = from.iter().chain(before).copied().take(LAST_PROBES);
-        sockets.find(|&id| self.may_use(id, owner, server))
+        sockets.find(|&id| self.may_use(id, owner, kind, server))
     }
 
     fn open(
         &mut self,
         table: &Table,
-        to: &Mapping,
+        net: NetId,
+        kind: SocketKind,
         effects: &mut impl Effects,
     ) -> Option<UpstreamId> {
         let place = self.sockets.vacant_entry();
         let socket = UpstreamId(u32::try_from(place.key()).ok()?);
-        let port = effects.open_upstream(table, socket, to.net, to.server.is_ipv4())?;
-        let (ipv4, at) = (to.server.is_ipv4(), self.open.len());
-        place.insert(Socket { ipv4, port, place: at, leases: 0, state: SocketState::Open });
+        let port = effects.open_upstream(table, socket, net, kind)?;
+        let at = self.open.len();
+        place.insert(Socket { kind, port, place: at, leases: 0, state: SocketState::Open });
         self.open.push(socket);
         Some(socket)
     }
 
-    fn may_use(&self, socket: UpstreamId, owner: Owner, server: SocketAddr) -> bool {
+    fn may_use(
+        &self,
+        socket: UpstreamId,
+        owner: Owner,
+        kind: SocketKind,
+        server: SocketAddr,
+    ) -> bool {
         // The client's socket may be closed while the client still has leases on others.
-        self.sockets.get(socket.key()).is_some_and(|socket| {
-            socket.ipv4 == server.is_ipv4() && socket.state == SocketState::Open
-        }) && self.leases.get(&(socket, server)).is_none_or(|lease| {
-            // The client that had the lease need not wait.
-            lease.owner == owner && matches!(lease.state, LeaseState::RestsUntil(_))
-        })
+        self.sockets
+            .get(socket.key())
+            .is_some_and(|socket| socket.kind == kind && socket.state == SocketState::Open)
+            && self.leases.get(&(socket, server)).is_none_or(|lease| {
+                // The client that had the lease need not wait.
+                lease.owner == owner && matches!(lease.state, LeaseState::RestsUntil(_))
+            })
     }
 
     fn leave_affinity(&mut self, owner: Owner) {

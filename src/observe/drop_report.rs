@@ -137,8 +137,9 @@ fn line(active: &ActiveConfig, net: NetId, reason: DropReason, count: u64, windo
 
 /// Every drop reason once.
 fn reasons() -> impl Iterator<Item = DropReason> {
-    let request = DropReason::REQUEST.into_iter();
-    request.chain(DropReason::RESPONSE.into_iter().filter(|r| !DropReason::REQUEST.contains(r)))
+    let [request, response] = Direction::ALL.map(Direction::drop_reasons);
+    let of_both = |reason: &DropReason| Direction::Request.drop_reasons().any(|it| it == *reason);
+    request.chain(response.filter(move |reason| !of_both(reason)))
 }
 
 /// The datagrams dropped so far on the way to and from a node, by reason.
@@ -146,7 +147,7 @@ fn dropped(active: &ActiveConfig, mapping: MappingId) -> [u64; DropReason::COUNT
     let totals = NodeTotals::of_node(&active.counters, mapping);
     let mut dropped = [0; DropReason::COUNT];
     for direction in Direction::ALL {
-        for &reason in direction.drop_reasons() {
+        for reason in direction.drop_reasons() {
             dropped[reason as usize] += totals.direction(direction).dropped(reason);
         }
     }

@@ -35,11 +35,11 @@ impl DirectionTotals {
         self.dropped.iter().sum()
     }
 
-    fn add(&mut self, counters: &DirectionCounters, reasons: &[DropReason]) {
+    fn add(&mut self, counters: &DirectionCounters, reasons: impl Iterator<Item = DropReason>) {
         self.received += counters.received.get();
         self.forwarded += counters.forwarded.get();
         self.forwarded_bytes += counters.forwarded_bytes.get();
-        for &reason in reasons {
+        for reason in reasons {
             self.dropped[reason as usize] += counters.dropped(reason).get();
         }
     }

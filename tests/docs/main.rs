@@ -17,7 +17,7 @@ use std::sync::Arc;
 
 use pnet_nat::config::{self, Config, Warning};
 use pnet_nat::datapath::Router;
-use pnet_nat::nat::{CloseReason, DropReason};
+use pnet_nat::nat::{CloseReason, Direction, DropReason};
 use pnet_nat::observe::metrics::Metrics;
 use pnet_nat::sandbox::Sandbox;
 
@@ -119,7 +119,8 @@ fn the_steps_for_the_package_end_in_a_sound_configuration() {
 fn drop_reasons() -> String {
     let mut table =
         "| reason | direction | what it means, what to do |\n|---|---|---|\n".to_owned();
-    let (requests, responses) = (DropReason::REQUEST, DropReason::RESPONSE);
+    let of = |direction: Direction| direction.drop_reasons().collect::<Vec<_>>();
+    let [requests, responses] = Direction::ALL.map(of);
     let of_responses_alone = responses.iter().filter(|reason| !requests.contains(reason));
     for reason in requests.iter().chain(of_responses_alone) {
         let direction = match (requests.contains(reason), responses.contains(reason)) {

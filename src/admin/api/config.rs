@@ -108,6 +108,7 @@ impl<'a> NetRules<'a> {
             NetKind::UdpRange { start_port } => ("udp_range_net", Some(start_port)),
             NetKind::Server => ("server", None),
             NetKind::Remote { start_port } => ("remote_net", Some(start_port)),
+            NetKind::ProfinetDevice { .. } => ("profinet_device", None),
         };
         Self {
             name: &net.name,

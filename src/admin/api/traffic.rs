@@ -70,8 +70,8 @@ pub(super) struct DirectionState {
 impl DirectionState {
     pub(super) fn of(node: &NodeTotals, direction: Direction) -> Self {
         let totals: &DirectionTotals = node.direction(direction);
-        let reasons = direction.drop_reasons().iter();
-        let dropped = reasons.map(|&reason| (reason.label(), totals.dropped(reason)));
+        let reasons = direction.drop_reasons();
+        let dropped = reasons.map(|reason| (reason.label(), totals.dropped(reason)));
         Self {
             received_datagrams: totals.received,
             forwarded_datagrams: totals.forwarded,

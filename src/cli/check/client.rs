@@ -151,6 +151,7 @@ fn rows(config: &Config) -> impl Iterator<Item = Row<'_>> {
         let (nettype, udp_port) = match net.kind {
             NetKind::Remote { .. } => (Nettype::IpRange, first.public_port),
             NetKind::UdpRange { .. } | NetKind::Server => (Nettype::UdpRange, udp_port(first)?),
+            NetKind::ProfinetDevice { .. } => return None, // no P-NET node
         };
         Some(Row {
             net,

@@ -125,7 +125,9 @@ fn remarks_on_clients(config: &Config) -> impl Iterator<Item = String> {
         let IpAddr::V4(server) = mappings[0].server.ip() else { return None };
         let subnet = match net.kind {
             NetKind::UdpRange { .. } => IpNet::from(Ipv4Net::new_assert(server, 24).trunc()),
-            NetKind::Server | NetKind::Remote { .. } => return None,
+            NetKind::Server | NetKind::Remote { .. } | NetKind::ProfinetDevice { .. } => {
+                return None;
+            }
         };
         let is_wider = |allowed: &&IpNet| allowed.prefix_len() > 0 && allowed.contains(&subnet);
         let wider = net.allow.iter().find(is_wider)?;

@@ -138,7 +138,7 @@ fn dropped(router: &ActiveConfig) -> Vec<(DropReason, u64)> {
     let of_net = |net| NodeTotals::of_net(&router.counters, table, net);
     let nets: Vec<_> = table.net_ids().map(of_net).collect();
     let mut dropped = Vec::new();
-    for &reason in Direction::ALL.iter().flat_map(|direction| direction.drop_reasons()) {
+    for reason in Direction::ALL.iter().flat_map(|direction| direction.drop_reasons()) {
         let of = |net: &NodeTotals| -> u64 {
             Direction::ALL.map(|direction| net.direction(direction).dropped(reason)).iter().sum()
         };

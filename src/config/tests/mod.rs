@@ -6,6 +6,7 @@
 mod faults;
 mod host;
 mod ip_net_table;
+mod profinet_device;
 mod reference;
 mod remote_net;
 mod size;

@@ -68,7 +68,7 @@ fn has_every_key() {
         }))
         .collect();
     let Err(Faults(faults)) = read(&provoked) else { panic!("unknown keys are taken") };
-    assert_eq!(faults.len(), 14, "one a section: {faults:#?}");
+    assert_eq!(faults.len(), 15, "one a section: {faults:#?}");
     for fault in faults {
         let (_, keys) = fault.remedy.split_once("the keys here are ").unwrap();
         let mut expected: Vec<&str> = keys.split(", ").collect();

@@ -63,8 +63,8 @@ fn what_cannot_be_is_refused_with_its_place() {
             ("= 40000", "= 65411", 4, "remote_net[0].start_port", "is over 65535"),
             ("[\"1-3\", 7]", "[126]", 5, "remote_net[0].nodes[0]", "126"),
             ("127.17.2.0", "127.17.2.3", 6, "remote_net[0].local_subnet", "its mask is"),
-            ("127.0.0.0/8", "0.0.0.0/0", 7, "remote_net[0].allow[0]", "lets everybody into"),
-            ("127.0.0.0/8", "::/0", 7, "remote_net[0].allow[0]", "lets everybody into"),
+            ("127.0.0.0/8", "0.0.0.0/0", 7, "remote_net[0].allow[0]", "without a password"),
+            ("127.0.0.0/8", "::/0", 7, "remote_net[0].allow[0]", "without a password"),
             (
                 "[[remote_net.password]]\nname = \"service\"\nfile = \"secrets/a\"\n",
                 "",

@@ -6,4 +6,5 @@ pub(in crate::datapath) mod assembler;
 pub(in crate::datapath) mod flood;
 pub(in crate::datapath) mod request;
 pub(in crate::datapath) mod reuseport;
+mod rpc;
 pub(in crate::datapath) mod upstream;

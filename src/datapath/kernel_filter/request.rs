@@ -6,6 +6,7 @@
 //! the address that a datagram was sent to. It never looks at the sender. It never refuses what the
 //! relay would accept: where it cannot decide, it lets the datagram through. It needs no privilege.
 
+use std::mem;
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr};
 
 use libc::{
@@ -14,10 +15,11 @@ use libc::{
     BPF_TAX, BPF_W, BPF_X,
 };
 
-use crate::nat::{Credential, DropReason, Net, NetId, Table};
+use crate::nat::{Credential, DropReason, Net, NetId, NetKind, Table};
 use crate::pnet::wire::{self, Header, Password};
 
 use crate::datapath::kernel_filter::assembler::{Program, To};
+use crate::datapath::kernel_filter::rpc;
 
 /// The most passwords that the kernel compares. With more of them the program would be too long.
 const MOST_PASSWORDS: usize = 40;
@@ -47,7 +49,7 @@ pub(in crate::datapath) fn is_same(one: (&Table, NetId), other: (&Table, NetId))
         bool::from(one.password.matches(other.password.octets()))
     };
     one.0.header == other.0.header
-        && net.kind.is_remote() == other_net.kind.is_remote()
+        && mem::discriminant(&net.kind) == mem::discriminant(&other_net.kind)
         && net.allow_without_password == other_net.allow_without_password
         && net.credentials.len() == other_net.credentials.len()
         && net.credentials.iter().zip(&other_net.credentials).all(same)
@@ -67,6 +69,13 @@ pub(in crate::datapath) fn is_refused_by_filter(reason: DropReason) -> bool {
         | DropReason::BadLength
         | DropReason::PasswordMissing
         | DropReason::PasswordUnexpected
+        | DropReason::PacketType
+        | DropReason::RpcInterface
+        | DropReason::RpcConnect
+        | DropReason::RpcRelease
+        | DropReason::RpcRead
+        | DropReason::RpcWrite
+        | DropReason::RpcControl
         | DropReason::Unanswerable
         | DropReason::SourceNotAllowed
         | DropReason::Throttled
@@ -74,6 +83,9 @@ pub(in crate::datapath) fn is_refused_by_filter(reason: DropReason) -> bool {
         DropReason::Broadcast
         | DropReason::Loop
         | DropReason::NodeMismatch
+        | DropReason::BadNdr
+        | DropReason::RecordNotAllowed
+        | DropReason::UnknownExchange
         | DropReason::RequestLimit
         | DropReason::FlowLimit
         | DropReason::UpstreamExhausted
@@ -87,24 +99,14 @@ pub(in crate::datapath) fn is_refused_by_filter(reason: DropReason) -> bool {
 /// address of the socket. The program checks the destination only on a socket of all addresses,
 /// because a socket of one address gets no datagram that was sent to another.
 pub(in crate::datapath) fn program(header: Header, net: &Net, listen: IpAddr) -> Program {
+    if let NetKind::ProfinetDevice { .. } = net.kind {
+        return rpc::program(listen);
+    }
     let is_remote = net.kind.is_remote();
     let without_password = net.allow_without_password || is_remote;
     let shortest = if without_password { wire::MIN_DATAGRAM } else { wire::MIN_SECURE_DATAGRAM };
     let mut program = Program::new();
-    // The broadcast address of a single network cannot be told from other addresses here.
-    match listen {
-        IpAddr::V4(Ipv4Addr::UNSPECIFIED) => {
-            program.step(BPF_LD | BPF_W | BPF_ABS, IPV4_DESTINATION);
-            program.compare(BPF_JEQ, Ipv4Addr::BROADCAST.to_bits(), To::Refuse, To::Next);
-            program.step(BPF_ALU | BPF_AND | BPF_K, 0xf000_0000);
-            program.compare(BPF_JEQ, 0xe000_0000, To::Refuse, To::Next);
-        }
-        IpAddr::V6(Ipv6Addr::UNSPECIFIED) => {
-            program.step(BPF_LD | BPF_B | BPF_ABS, IPV6_DESTINATION);
-            program.compare(BPF_JEQ, 0xff, To::Refuse, To::Next);
-        }
-        _ => {}
-    }
+    refuse_many(&mut program, listen);
     // The length of the datagram. It is kept in M[0].
     program.step(BPF_LD | BPF_W | BPF_LEN, 0);
     program.step(BPF_ALU | BPF_SUB | BPF_K, DATAGRAM);
@@ -162,6 +164,24 @@ pub(in crate::datapath) fn program(header: Header, net: &Net, listen: IpAddr) ->
     program
 }
 
+/// Refuses what was sent to many, on a socket that listens at this address.
+pub(super) fn refuse_many(program: &mut Program, listen: IpAddr) {
+    // The broadcast address of a single network cannot be told from other addresses here.
+    match listen {
+        IpAddr::V4(Ipv4Addr::UNSPECIFIED) => {
+            program.step(BPF_LD | BPF_W | BPF_ABS, IPV4_DESTINATION);
+            program.compare(BPF_JEQ, Ipv4Addr::BROADCAST.to_bits(), To::Refuse, To::Next);
+            program.step(BPF_ALU | BPF_AND | BPF_K, 0xf000_0000);
+            program.compare(BPF_JEQ, 0xe000_0000, To::Refuse, To::Next);
+        }
+        IpAddr::V6(Ipv6Addr::UNSPECIFIED) => {
+            program.step(BPF_LD | BPF_B | BPF_ABS, IPV6_DESTINATION);
+            program.compare(BPF_JEQ, 0xff, To::Refuse, To::Next);
+        }
+        _ => {}
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use std::net::UdpSocket;
@@ -174,7 +194,7 @@ mod tests {
     use super::*;
     use crate::nat::{
         Arrival, Chance, Core, Counters, Credential, Effects, Limits, ListenerId, Mapping,
-        MappingId, NetKind, Payload, Rules, ToServer, UpstreamId,
+        MappingId, Payload, Rules, SocketKind, ToServer, UpstreamId,
     };
 
     fn net(passwords: &[[u8; 8]], allow_without_password: bool) -> Net {
@@ -225,7 +245,13 @@ mod tests {
     struct NoSockets;
 
     impl Effects for NoSockets {
-        fn open_upstream(&mut self, _: &Table, _: UpstreamId, _: NetId, _: bool) -> Option<u16> {
+        fn open_upstream(
+            &mut self,
+            _: &Table,
+            _: UpstreamId,
+            _: NetId,
+            _: SocketKind,
+        ) -> Option<u16> {
             Some(50_000)
         }
         fn close_upstream(&mut self, _: UpstreamId) {}

@@ -39,6 +39,7 @@ pub(in crate::datapath) fn program(table: &Table) -> io::Result<Program> {
             NetKind::Remote { start_port } => {
                 (start_port, start_port.saturating_add(LAST_NODE.into()), SERVER)
             }
+            NetKind::ProfinetDevice { .. } => (0, u16::MAX, SERVER),
         };
         let network = Ipv4Addr::to_bits(address) & mask;
         let of_ports = networks.entry((first, last, mask)).or_default();

@@ -7,7 +7,8 @@ use std::sync::Arc;
 use crate::logging::audit::Audit;
 use crate::logging::warnings::RateLimitedWarnings;
 use crate::nat::{
-    CloseReason, Effects, FlowRecord, ListenerId, MappingId, NetId, Table, Throttled, UpstreamId,
+    CloseReason, Effects, FlowRecord, ListenerId, MappingId, NetId, SocketKind, Table, Throttled,
+    UpstreamId,
 };
 
 use super::public::Listeners;
@@ -31,12 +32,12 @@ impl Effects for WorkerEffects {
         table: &Table,
         id: UpstreamId,
         net: NetId,
-        ipv4: bool,
+        kind: SocketKind,
     ) -> Option<u16> {
-        if !self.upstream.may_open(ipv4) {
+        if !self.upstream.may_open(kind) {
             return None; // counted as upstream_exhausted, which the drop report tells
         }
-        let opened = self.upstream.open(id, ipv4);
+        let opened = self.upstream.open(id, kind);
         let what = "cannot open an upstream socket";
         opened.inspect_err(|error| self.warnings.note_of(net, table, error, what)).ok()
     }

@@ -175,7 +175,7 @@ impl Drop for Port {
 fn needed(config: &Config) -> impl Iterator<Item = RangeInclusive<u16>> {
     let blocks = config.table.nets().iter().filter_map(|net| match net.kind {
         NetKind::UdpRange { start_port } => Some(start_port..=start_port.saturating_add(BLOCK_END)),
-        NetKind::Server | NetKind::Remote { .. } => None,
+        NetKind::Server | NetKind::Remote { .. } | NetKind::ProfinetDevice { .. } => None,
     });
     let servers = config.table.mappings().iter().map(|mapping| mapping.public_port);
     let admin = config.admin.iter().map(|admin| admin.listen.port());

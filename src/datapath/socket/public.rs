@@ -22,6 +22,8 @@ pub(in crate::datapath) struct Listener {
     pub address: SocketAddr,
     pub mapping: MappingId,
     pub net: NetId,
+    /// Whether datagrams may be longer than those of P-NET.
+    pub is_long: bool,
     pub drops: Arc<NetDrops>,
 }
 

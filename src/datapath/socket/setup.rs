@@ -85,7 +85,8 @@ pub(in crate::datapath) fn open(
     let listener = |socket, address, mapping| {
         let net = config.table.mapping(mapping).net;
         let drops = Arc::clone(&drops[usize::from(net.0)]);
-        Listener { socket, address, mapping, net, drops }
+        let is_long = config.table.net(net).kind.has_long_datagrams();
+        Listener { socket, address, mapping, net, is_long, drops }
     };
     let mut next = vec![Listeners::default(); workers];
     let mut new = Vec::new();

@@ -66,7 +66,7 @@ impl StrayGuard {
         let Some(upstream) = sockets.upstream(id) else { return };
         let since_start = now.saturating_duration_since(self.started);
         if !self.filters
-            || !upstream.ipv4 // IPv6 serves single servers only, and few of them
+            || !upstream.kind.ipv4 // IPv6 serves single servers only, and few of them
             || upstream.socket.is_filtered()
             || !self.watch.flooded(since_start, strays, FloodWatch::FLOOD)
         {

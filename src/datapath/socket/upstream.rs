@@ -8,12 +8,20 @@ use std::sync::Arc;
 use nix::sys::epoll::Epoll;
 
 use crate::logging::warnings::RateLimitedWarnings;
-use crate::nat::{Table, UpstreamId};
+use crate::nat::{SocketKind, Table, UpstreamId};
 
 use super::event_key::EventKey;
 use super::filtered::{FilteredSocket, NetDrops};
 use super::port_pool::{Port, Ports};
 use super::sys::options;
+
+/// How many kinds of sockets there are.
+const KINDS: usize = 4;
+
+/// The number of a kind.
+fn index(kind: SocketKind) -> usize {
+    usize::from(kind.ipv4) + 2 * usize::from(kind.is_long)
+}
 
 /// The upstream sockets of a worker.
 pub(super) struct UpstreamSockets {
@@ -22,10 +30,10 @@ pub(super) struct UpstreamSockets {
     drops: Arc<NetDrops>,
     /// The sockets, by [`UpstreamId`].
     sockets: Vec<Option<Upstream>>,
-    /// Number of open sockets: for IPv6, for IPv4.
-    open: [usize; 2],
-    /// Whether the table has servers: with IPv6, with IPv4.
-    served: [bool; 2],
+    /// Number of open sockets of each kind.
+    open: [usize; KINDS],
+    /// Whether the table has servers that need this kind.
+    served: [bool; KINDS],
     limit: usize,
     receive_buffer: usize,
 }
@@ -37,7 +45,7 @@ pub(super) struct Upstream {
     pub socket: FilteredSocket,
     /// The port, which is given back when the socket is closed.
     _port: Port,
-    pub ipv4: bool,
+    pub kind: SocketKind,
     /// The kernel's figure at the last look.
     pub dropped: u32,
 }
@@ -51,8 +59,8 @@ impl UpstreamSockets {
             ports,
             drops,
             sockets: Vec::new(),
-            open: [0; 2],
-            served: [false; 2],
+            open: [0; KINDS],
+            served: [false; KINDS],
             limit: 0,
             receive_buffer: 0,
         }
@@ -74,8 +82,10 @@ impl UpstreamSockets {
                 }
             }
         }
-        let has_servers = |ipv4| table.mappings().iter().any(|to| to.server.is_ipv4() == ipv4);
-        self.served = [false, true].map(has_servers);
+        self.served = [false; KINDS];
+        for mapping in table.mappings() {
+            self.served[index(table.socket_kind(mapping))] = true;
+        }
         (self.limit, self.receive_buffer) = (limit, receive_buffer);
     }
 
@@ -109,26 +119,30 @@ impl UpstreamSockets {
         &self.ports
     }
 
-    /// Whether the limit allows another socket. Sockets of one IP version cannot reach servers of
-    /// the other, so a quarter of the limit is kept for each version that has servers.
-    pub(super) fn may_open(&self, ipv4: bool) -> bool {
-        let other = self.open[usize::from(!ipv4)];
-        let kept = if self.served[usize::from(!ipv4)] { self.limit / 4 } else { 0 };
-        self.open[usize::from(ipv4)] + other.max(kept) < self.limit
+    /// Whether the limit allows another socket. Sockets of one kind cannot stand in for another, so
+    /// a part of the limit is kept for each kind that has servers: a quarter, or an eighth where
+    /// there are more than two.
+    pub(super) fn may_open(&self, kind: SocketKind) -> bool {
+        let served = self.served.iter().filter(|served| **served).count();
+        let share = if served > 2 { self.limit / 8 } else { self.limit / 4 };
+        let kept = |other: usize| if self.served[other] { share } else { 0 };
+        let others = (0..KINDS).filter(|other| *other != index(kind));
+        let others: usize = others.map(|other| self.open[other].max(kept(other))).sum();
+        self.open[index(kind)] + others < self.limit
     }
 
     /// Opens the socket with this index, and returns its port.
-    pub(super) fn open(&mut self, id: UpstreamId, ipv4: bool) -> io::Result<u16> {
-        let (socket, port) = options::upstream(ipv4, self.receive_buffer, &self.ports)?;
+    pub(super) fn open(&mut self, id: UpstreamId, kind: SocketKind) -> io::Result<u16> {
+        let (socket, port) = options::upstream(kind.ipv4, self.receive_buffer, &self.ports)?;
         self.epoll.add(&socket, EventKey::Upstream(id).arrivals())?;
-        let index = id.0 as usize;
-        if self.sockets.len() <= index {
-            self.sockets.resize_with(index + 1, || None);
+        let place = id.0 as usize;
+        if self.sockets.len() <= place {
+            self.sockets.resize_with(place + 1, || None);
         }
         let number = port.number();
-        self.sockets[index] =
-            Some(Upstream { socket: FilteredSocket::new(socket), _port: port, ipv4, dropped: 0 });
-        self.open[usize::from(ipv4)] += 1;
+        self.sockets[place] =
+            Some(Upstream { socket: FilteredSocket::new(socket), _port: port, kind, dropped: 0 });
+        self.open[index(kind)] += 1;
         Ok(number)
     }
 
@@ -136,7 +150,7 @@ impl UpstreamSockets {
     pub(super) fn close(&mut self, id: UpstreamId) {
         if let Some(upstream) = self.sockets[id.0 as usize].take() {
             upstream.socket.account(&self.drops);
-            self.open[usize::from(upstream.ipv4)] -= 1;
+            self.open[index(upstream.kind)] -= 1;
         }
     }
 }

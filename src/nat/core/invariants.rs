@@ -21,7 +21,7 @@ impl Core {
         for (id, flow) in self.flows.iter() {
             let table = &self.rules_of(flow).0.table;
             let mapping = table.mapping(flow.mapping);
-            assert_eq!(flow.server, mapping.server);
+            assert_eq!(flow.server, table.answers_from(&mapping));
             let found = self.flows.of_request(&flow.endpoints);
             assert_eq!(found == Some(id), flow.left == 0, "a request finds its flow");
             let found = self.flows.of_response(flow.upstream, flow.server);

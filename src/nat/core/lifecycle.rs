@@ -10,6 +10,7 @@ use super::{AT_ONCE, Arrival, Core};
 use crate::nat::effects::Effects;
 use crate::nat::flow::{Answers, Flow};
 use crate::nat::ids::FlowId;
+use crate::nat::protocol::Conversation;
 use crate::nat::reason::{CloseReason, DropReason};
 use crate::nat::time::Nanos;
 use crate::nat::upstream_ports::Owner;
@@ -51,7 +52,7 @@ impl Core {
             })?;
         let flow = Flow {
             endpoints: arrival.endpoints(),
-            server: mapping.server,
+            server: self.rules.table.answers_from(&mapping),
             mapping: arrival.mapping,
             upstream,
             upstream_port,
@@ -61,6 +62,7 @@ impl Core {
             opened: now,
             last_used: now,
             answers: Answers::default(),
+            conversation: Conversation::of(self.rules.table.net(mapping.net).kind),
             era: self.era,
             paid_until: 0,
             left: 0,

@@ -73,7 +73,8 @@ impl Core {
             self.check_sender(now, arrival, mapping.net, effects)?;
         }
         let credential = self.check_password(now, arrival, mapping.net, &request, open, effects)?;
-        request.is_for(mapping.node_address)?;
+        let conversation = open.map(|id| &self.flows.get(id).conversation);
+        request.is_for(mapping.node_address, conversation, now)?;
         if open.is_none() && arrival.comes_back(effects) {
             return Err(DropReason::Loop);
         }
@@ -86,6 +87,10 @@ impl Core {
         flow.paid_until = paid_until;
         flow.asked_with(credential);
         flow.last_used = now;
+        let mut server = mapping.server;
+        if let Some(port) = request.note(&mut flow.conversation, now) {
+            server.set_port(port);
+        }
         if let Some(index) = credential.map(usize::from) {
             if flow.noted == 0 || now - flow.noted >= NOTED_AGAIN {
                 flow.noted = now;
@@ -95,8 +100,8 @@ impl Core {
             let net = self.rules.table.net(mapping.net);
             protocol::for_server(payload, net, &net.credentials[index])?;
         }
-        let asks = request.confirmed.then_some(id);
-        Ok(ToServer { via: flow.upstream, server: mapping.server, asks })
+        let asks = request.wants_answer().then_some(id);
+        Ok(ToServer { via: flow.upstream, server, asks })
     }
 
     /// Who may send to a net without an open flow.
@@ -140,7 +145,7 @@ impl Core {
         open: Option<FlowId>,
         effects: &mut impl Effects,
     ) -> Result<Option<u16>, DropReason> {
-        let Some(password) = &request.password else {
+        let Some(password) = request.password() else {
             // Request::parse let it pass: the net is remote, or allows it (A4).
             return Ok(self.rules.table.net(net).kind.is_remote().then_some(0));
         };

@@ -6,8 +6,9 @@ use std::time::Instant;
 use super::Core;
 use crate::nat::ids::{FlowId, ListenerId, MappingId, UpstreamId};
 use crate::nat::payload::Payload;
-use crate::nat::protocol;
+use crate::nat::protocol::{self, Response};
 use crate::nat::reason::{Direction, DropReason};
+use crate::nat::table::any_port;
 use crate::nat::time::Nanos;
 
 /// Where a response goes.
@@ -37,9 +38,11 @@ impl Core {
     ) -> Result<ToClient, DropReason> {
         // A flow for which the new rules have no place is closed later; until then it takes
         // nothing.
-        let flow = self.flows.of_response(via, server).filter(|&id| self.take_along(id).is_ok());
+        let flow = self.flows.of_response(via, server);
+        let flow = flow.or_else(|| self.flows.of_response(via, any_port(server)));
+        let flow = flow.filter(|&id| self.take_along(id).is_ok());
         let verdict = match flow {
-            Some(id) => self.judge_response(self.nanos(now), id, payload),
+            Some(id) => self.judge_response(self.nanos(now), id, server.port(), payload),
             None => Err(DropReason::UnknownFlow),
         };
         let mapping = match flow {
@@ -64,10 +67,12 @@ impl Core {
         &mut self,
         now: Nanos,
         id: FlowId,
+        port: u16,
         payload: &mut Payload<'_>,
     ) -> Result<ToClient, DropReason> {
-        let password = protocol::response(payload, self.rules.table.header)?;
-        let flow = self.flows.get_mut(id);
+        let (header, flow) = (self.rules.table.header, self.flows.get_mut(id));
+        let Response { password, is_answer } =
+            protocol::response(payload, header, &mut flow.conversation, port, now)?;
         let mapping = self.rules.table.mapping(flow.mapping);
         let net = self.rules.table.net(mapping.net);
         match password {
@@ -87,7 +92,7 @@ impl Core {
         flow.last_used = now; // N-3
         let node = self.counters.node(flow.mapping);
         node.answered(&self.writer, now);
-        if let Some(response_time) = flow.answers.came(now) {
+        if is_answer && let Some(response_time) = flow.answers.came(now) {
             node.response_times.observe(&self.writer, response_time);
         }
         Ok(ToClient {

@@ -3,8 +3,7 @@
 //! These checks need nothing but the octets. Who sent them, and whether the password is right, is
 //! checked in `core`.
 
-use crate::nat::net::{Credential, Net};
-use crate::nat::payload::Payload;
+use crate::nat::net::Net;
 use crate::nat::reason::DropReason;
 use crate::pnet::wire::{self, Datagram, DatagramError, RouteFormat};
 
@@ -64,34 +63,6 @@ impl Request {
             return Err(DropReason::NodeMismatch);
         }
         Ok(())
-    }
-}
-
-/// Gives a request the password that its server expects.
-#[inline]
-pub(in crate::nat) fn for_server(
-    payload: &mut Payload<'_>,
-    net: &Net,
-    credential: &Credential,
-) -> Result<(), DropReason> {
-    if net.kind.is_remote() {
-        // A package without a password is never so long that there is no room.
-        let has_room = payload.append(credential.password.octets());
-        return if has_room { Ok(()) } else { Err(DropReason::TooLong) };
-    }
-    if let Some(device) = &credential.device_password {
-        wire::replace_password(payload, device);
-    }
-    Ok(())
-}
-
-/// Gives a response, which has a password, the one that its client expects.
-#[inline]
-pub(in crate::nat) fn for_client(payload: &mut Payload<'_>, net: &Net, credential: &Credential) {
-    if net.kind.is_remote() {
-        payload.cut(Password::LEN);
-    } else if credential.device_password.is_some() {
-        wire::replace_password(payload, &credential.password);
     }
 }
 

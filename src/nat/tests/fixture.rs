@@ -101,7 +101,7 @@ pub(super) struct Sockets {
 }
 
 impl Effects for Sockets {
-    fn open_upstream(&mut self, _: &Table, id: UpstreamId, _: NetId, _: bool) -> Option<u16> {
+    fn open_upstream(&mut self, _: &Table, id: UpstreamId, _: NetId, _: SocketKind) -> Option<u16> {
         Some(50_000 + id.0 as u16)
     }
 

@@ -5,6 +5,7 @@ mod attackers;
 mod fixture;
 mod handover;
 mod order;
+mod profinet;
 mod remote;
 mod silence;
 mod simulation;

@@ -15,7 +15,7 @@ struct OneSocket {
 }
 
 impl Effects for OneSocket {
-    fn open_upstream(&mut self, _: &Table, _: UpstreamId, _: NetId, _: bool) -> Option<u16> {
+    fn open_upstream(&mut self, _: &Table, _: UpstreamId, _: NetId, _: SocketKind) -> Option<u16> {
         (!std::mem::replace(&mut self.is_open, true)).then_some(50_000)
     }
 

@@ -96,8 +96,14 @@ struct FakeEffects {
 }
 
 impl Effects for FakeEffects {
-    fn open_upstream(&mut self, _: &Table, id: UpstreamId, _: NetId, ipv4: bool) -> Option<u16> {
-        assert!(ipv4 && !self.ports.contains_key(&id), "opened twice");
+    fn open_upstream(
+        &mut self,
+        _: &Table,
+        id: UpstreamId,
+        _: NetId,
+        kind: SocketKind,
+    ) -> Option<u16> {
+        assert!(kind.ipv4 && !self.ports.contains_key(&id), "opened twice");
         if self.ports.len() >= self.limit {
             return None;
         }

@@ -2,8 +2,7 @@
 //! cannot.
 
 use super::*;
-use crate::nat::Table;
-use crate::nat::{NetId, UpstreamId};
+use crate::nat::{NetId, SocketKind, Table, UpstreamId};
 use std::net::{Ipv4Addr, Ipv6Addr};
 
 const START: Nanos = 1;
@@ -24,7 +23,7 @@ struct Told {
 }
 
 impl Effects for Told {
-    fn open_upstream(&mut self, _: &Table, _: UpstreamId, _: NetId, _: bool) -> Option<u16> {
+    fn open_upstream(&mut self, _: &Table, _: UpstreamId, _: NetId, _: SocketKind) -> Option<u16> {
         None
     }
     fn close_upstream(&mut self, _: UpstreamId) {}

@@ -14,7 +14,7 @@ use prometheus::proto::{
 use super::metric_family;
 use crate::COMMIT;
 use crate::datapath::{KernelDrops, LastReload};
-use crate::nat::{CloseReason, Direction, Net, RESPONSE_BUCKETS};
+use crate::nat::{CloseReason, Direction, Net, NetKind, RESPONSE_BUCKETS};
 use crate::observe::totals::{DirectionTotals, NetTotals, NodeTotals};
 use crate::sandbox::{Layer, Sandbox, State};
 
@@ -203,7 +203,9 @@ fn directions(sums: &NetSums<'_>, value: fn(&DirectionTotals) -> u64) -> Vec<Met
 /// its first drop, `increase()` would not show that drop.
 fn dropped(sums: &NetSums<'_>) -> Vec<Metric> {
     each_direction(sums, |&[net, node, way], direction, totals| {
-        let reasons = direction.drop_reasons().iter();
+        // Strays are none of PROFINET's: a device that is known has its own figures.
+        let kind = sums.net.as_ref().map_or(NetKind::Server, |(net, _)| net.kind);
+        let reasons = kind.drop_reasons(direction).iter();
         reasons
             .map(|&reason| {
                 let labels = [net, node, way, ("reason", reason.label())];

@@ -5,7 +5,7 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use super::*;
 use crate::config::fixture::{NODE_1, NODE_33, SECTION, config};
-use crate::nat::{CloseReason, Direction, DropReason, RESPONSE_BUCKETS, Writer};
+use crate::nat::{CloseReason, Direction, DropReason, NetKind, RESPONSE_BUCKETS, Writer};
 use crate::sandbox::Sandbox;
 
 /// One scrape: the samples by their series as written, and the families with their types in order.
@@ -89,7 +89,7 @@ fn every_reason_stands_at_0_before_anything_happened() {
     let scrape = Scrape::of(&Router::idle(config(), 2));
     for (net, node) in [("section-1", 1), ("section-1", 33), ("press", 7), ("none", 0)] {
         for direction in Direction::ALL {
-            for reason in direction.drop_reasons() {
+            for reason in NetKind::Server.drop_reasons(direction) {
                 let (direction, reason) = (direction.label(), reason.label());
                 let series = format!(
                     "pnet_nat_dropped_datagrams_total{{net=\"{net}\",node=\"{node}\",direction=\"{direction}\",reason=\"{reason}\"}}"
@@ -99,7 +99,8 @@ fn every_reason_stands_at_0_before_anything_happened() {
         }
     }
     // The three nodes and the strays have these series, and nothing else has.
-    let reasons: usize = Direction::ALL.iter().map(|way| way.drop_reasons().len()).sum();
+    let of = |direction| NetKind::Server.drop_reasons(direction).len();
+    let reasons: usize = Direction::ALL.into_iter().map(of).sum();
     assert_eq!(scrape.of_family("pnet_nat_dropped_datagrams_total").len(), 4 * reasons);
     for credential in ["service", "team-b"] {
         let labels = format!("net=\"section-1\",credential=\"{credential}\"");

@@ -13,8 +13,8 @@ use fastrand::Rng;
 use ipnet::IpNet;
 use pnet_nat::nat::{
     Arrival, Chance, Core, Counters, Credential, DropReason, Effects, Limits, ListenerId, Mapping,
-    MappingId, Net, NetId, NetKind, Payload, RequestRate, Rules, Succession, Table, ToClient,
-    ToServer, Transition, UpstreamId,
+    MappingId, Net, NetId, NetKind, Payload, RequestRate, Rules, SocketKind, Succession, Table,
+    ToClient, ToServer, Transition, UpstreamId,
 };
 use pnet_nat::pnet::wire::{Header, Password};
 
@@ -129,7 +129,7 @@ pub struct NoSockets {
 }
 
 impl Effects for NoSockets {
-    fn open_upstream(&mut self, _: &Table, id: UpstreamId, _: NetId, _ipv4: bool) -> Option<u16> {
+    fn open_upstream(&mut self, _: &Table, id: UpstreamId, _: NetId, _: SocketKind) -> Option<u16> {
         let free = self.open < self.limit;
         self.open += usize::from(free);
         free.then_some(id.0 as u16)

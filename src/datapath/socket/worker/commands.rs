@@ -9,10 +9,11 @@ use crate::datapath::commands::{Command, WorkerReload};
 use crate::datapath::socket::busy_poll::BusyPoll;
 use crate::datapath::socket::effects::WorkerEffects;
 use crate::datapath::socket::public::Listeners;
+use crate::datapath::socket::sys::batch::Batch;
 use crate::logging::warnings::RateLimitedWarnings;
 use crate::nat::Table;
 
-use super::Worker;
+use super::{Relay, Worker};
 
 impl Worker {
     #[cold]
@@ -25,8 +26,8 @@ impl Worker {
             match command {
                 Command::Ping(reply) => _ = reply.try_send(()),
                 Command::Flows(limit, reply) => {
-                    let flows = self.core.flows(now).take(limit).collect();
-                    _ = reply.try_send((Arc::clone(self.core.table()), flows));
+                    let flows = self.relay.core.flows(now).take(limit).collect();
+                    _ = reply.try_send((Arc::clone(self.relay.core.table()), flows));
                 }
                 Command::Reload(next, reply) => {
                     self.reload(*next, now);
@@ -35,7 +36,7 @@ impl Worker {
                 Command::CloseLeft(reply) => self.closing = Some(reply),
                 Command::Drain(end) => {
                     self.drain_until = Some(end);
-                    for (_, listener) in self.effects.public.iter() {
+                    for (_, listener) in self.relay.effects.public.iter() {
                         let _ = self.epoll.delete(&listener.socket);
                     }
                 }
@@ -51,11 +52,11 @@ impl Worker {
         }
         self.flush(now); // what waits is counted under the old table
         let WorkerReload { succession, listeners, upstream_limit, settings } = next;
-        let before = mem::replace(&mut self.effects.public, listeners);
-        let old = Arc::clone(self.core.table());
-        self.core.reload(now, succession, &mut self.effects);
+        let before = mem::replace(&mut self.relay.effects.public, listeners);
+        let old = Arc::clone(self.relay.core.table());
+        self.relay.core.reload(now, succession, &mut self.relay.effects);
         for (id, was) in before.iter() {
-            let is = self.effects.public.get(id);
+            let is = self.relay.effects.public.get(id);
             if is.is_none_or(|is| !Arc::ptr_eq(&is.drops, &was.drops)) {
                 was.account();
             }
@@ -72,12 +73,16 @@ impl Worker {
         upstream_limit: usize,
         settings: &Datapath,
     ) {
-        let table = self.core.table();
-        let WorkerEffects { public, upstream, warnings, .. } = &mut self.effects;
+        let Relay { core, effects, floods, strays, .. } = &mut self.relay;
+        let table = core.table();
+        if table.nets().iter().any(|net| net.kind.has_long_datagrams()) {
+            self.long.get_or_insert_with(|| Box::new(Batch::new()));
+        }
+        let WorkerEffects { public, upstream, warnings, .. } = effects;
         *warnings = RateLimitedWarnings::default();
-        self.floods.reload(settings.prefilter, (old, table), before, public);
+        floods.reload(settings.prefilter, (old, table), before, public);
         upstream.reload(upstream_limit, settings.receive_buffer, table, warnings);
-        self.strays.reload(settings, table, upstream);
+        strays.reload(settings, table, upstream);
         self.busy = BusyPoll::new(settings.busy_poll);
     }
 }

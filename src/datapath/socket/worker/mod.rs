@@ -16,7 +16,7 @@ use nix::sys::epoll::{Epoll, EpollEvent, EpollTimeout};
 use nix::sys::eventfd::EventFd;
 
 use crate::config::Datapath;
-use crate::nat::Core;
+use crate::nat::{Core, ListenerId, UpstreamId};
 
 use crate::datapath::commands::Command;
 use crate::datapath::socket::busy_poll::BusyPoll;
@@ -28,12 +28,14 @@ use crate::datapath::socket::port_pool::Ports;
 use crate::datapath::socket::public::Listeners;
 use crate::datapath::socket::receive_quota::ReceiveQuota;
 use crate::datapath::socket::stray_guard::StrayGuard;
-use crate::datapath::socket::sys::batch::Batch;
+use crate::datapath::socket::sys::batch::{Batch, LONG, Linux};
 use crate::datapath::socket::sys::epoll_wait::wait;
 use crate::datapath::socket::ticker::Ticker;
 use crate::datapath::socket::upstream::UpstreamSockets;
 use crate::logging::audit::Audit;
 use crate::logging::warnings::RateLimitedWarnings;
+
+use relay::Relay;
 
 /// How long a stopping worker waits for one more answer before it checks whether any is still due.
 const DRAIN_TICK: Duration = Duration::from_millis(20);
@@ -42,11 +44,11 @@ const EVENTS: usize = 256;
 
 /// Everything that one worker thread owns.
 pub(in crate::datapath) struct Worker {
-    core: Core,
-    effects: WorkerEffects,
+    relay: Relay,
     epoll: Arc<Epoll>,
     batch: Batch,
-    quota: ReceiveQuota,
+    /// There as soon as some net has long datagrams.
+    long: Option<Box<Batch<Linux, LONG>>>,
     commands: Receiver<Command>,
     drain_until: Option<Instant>,
     /// Whether more is left to close than one call closes.
@@ -57,8 +59,6 @@ pub(in crate::datapath) struct Worker {
     closing: Option<SyncSender<()>>,
     ticker: Ticker,
     wake: Arc<EventFd>,
-    floods: FloodGuard,
-    strays: StrayGuard,
     busy: BusyPoll,
 }
 
@@ -96,24 +96,28 @@ impl Worker {
             audit,
             warnings: RateLimitedWarnings::default(),
         };
-        let mut worker = Self {
+        let relay = Relay {
             core,
             effects,
+            quota: ReceiveQuota::default(),
+            floods: FloodGuard::new(started),
+            strays: StrayGuard::new(started),
+        };
+        let mut worker = Self {
+            relay,
             ticker: Ticker::new(&epoll)?,
             epoll,
             batch: Batch::new(),
-            quota: ReceiveQuota::default(),
+            long: None,
             commands: setup.commands,
             drain_until: None,
             expiring: false,
             reloading: None,
             closing: None,
             wake,
-            floods: FloodGuard::new(started),
-            strays: StrayGuard::new(started),
             busy: BusyPoll::new(settings.busy_poll),
         };
-        let table = Arc::clone(worker.core.table());
+        let table = Arc::clone(worker.relay.core.table());
         worker.follow_core(&table, &Listeners::default(), setup.upstream_limit, &settings);
         Ok(worker)
     }
@@ -126,30 +130,30 @@ impl Worker {
                 Ok(ready) => ready,
                 Err(nix::errno::Errno::EINTR) => 0,
                 Err(error) => {
-                    self.effects.warnings.note(&error.into(), "cannot wait for datagrams");
+                    self.relay.effects.warnings.note(&error.into(), "cannot wait for datagrams");
                     0
                 }
             };
             let now = Instant::now();
-            self.quota.next_turn();
-            self.floods.next_turn();
+            self.relay.quota.next_turn();
+            self.relay.floods.next_turn();
             for event in &events[..ready] {
                 self.handle_event(EventKey::from_key(event.data()), now);
             }
             self.flush(now);
             self.tidy(now);
             self.busy.note(now, ready);
-            self.ticker.run(!self.core.is_idle() || !self.floods.is_quiet());
+            self.ticker.run(!self.relay.core.is_idle() || !self.relay.floods.is_quiet());
             if let Some(end) = self.drain_until
-                && (now >= end || (ready == 0 && !self.core.awaits_answers(now)))
+                && (now >= end || (ready == 0 && !self.relay.core.awaits_answers(now)))
             {
-                break self.core.shut_down(now, &mut self.effects);
+                break self.relay.core.shut_down(now, &mut self.relay.effects);
             }
         }
     }
 
     fn time_out(&self) -> EpollTimeout {
-        let at_once = self.busy.goes_on() || self.floods.is_looking();
+        let at_once = self.busy.goes_on() || self.relay.floods.is_looking();
         let wait = match self.drain_until {
             _ if at_once || self.expiring || self.reloading.is_some() => Duration::ZERO,
             Some(_) => DRAIN_TICK,
@@ -159,7 +163,6 @@ impl Worker {
     }
 
     fn handle_event(&mut self, key: EventKey, now: Instant) {
-        self.make_room(now);
         let received = match key {
             EventKey::Public(_) if self.drain_until.is_some() => return,
             EventKey::Public(id) => self.relay_requests(id, now),
@@ -167,27 +170,52 @@ impl Worker {
             EventKey::Wake => return self.handle_commands(now),
             EventKey::Tick => return self.tick(),
         };
-        self.quota.note(key, received);
+        self.relay.quota.note(key, received);
+    }
+
+    fn relay_requests(&mut self, id: ListenerId, now: Instant) -> usize {
+        let is_long = self.relay.effects.public.get(id).is_some_and(|public| public.is_long);
+        match &mut self.long {
+            Some(long) if is_long => self.relay.requests(long, id, now),
+            _ => self.relay.requests(&mut self.batch, id, now),
+        }
+    }
+
+    fn relay_responses(&mut self, id: UpstreamId, now: Instant) -> usize {
+        let upstream = self.relay.effects.upstream.upstream(id);
+        let is_long = upstream.is_some_and(|upstream| upstream.kind.is_long);
+        match &mut self.long {
+            Some(long) if is_long => self.relay.responses(long, id, now),
+            _ => self.relay.responses(&mut self.batch, id, now),
+        }
+    }
+
+    /// Sends what is queued.
+    fn flush(&mut self, now: Instant) {
+        self.relay.flush(&mut self.batch, now);
+        if let Some(long) = &mut self.long {
+            self.relay.flush(long, now);
+        }
     }
 
     /// Does a part of the work on many flows, so that datagrams are handled in between.
     #[inline]
     fn tidy(&mut self, now: Instant) {
-        if self.floods.is_looking() {
-            self.floods.end_quiet_floods(&self.effects.public, self.core.table());
+        if self.relay.floods.is_looking() {
+            self.relay.floods.end_quiet_floods(&self.relay.effects.public, self.relay.core.table());
         }
         if self.expiring {
-            self.expiring = self.core.expire(now, &mut self.effects);
+            self.expiring = self.relay.core.expire(now, &mut self.relay.effects);
         }
         if self.reloading.is_some()
-            && let Some(flows_closed) = self.core.go_over(now, &mut self.effects)
+            && let Some(flows_closed) = self.relay.core.go_over(now, &mut self.relay.effects)
             && let Some(reply) = self.reloading.take()
         {
             // If the asker has gone, nobody needs the answer.
             let _ = reply.try_send(flows_closed);
         }
         if self.closing.is_some()
-            && !self.core.close_left(now, &mut self.effects)
+            && !self.relay.core.close_left(now, &mut self.relay.effects)
             && let Some(reply) = self.closing.take()
         {
             let _ = reply.try_send(());
@@ -199,7 +227,7 @@ impl Worker {
     fn tick(&mut self) {
         self.ticker.read();
         self.expiring = true;
-        self.strays.account(&mut self.effects.upstream);
-        self.floods.begin_round();
+        self.relay.strays.account(&mut self.relay.effects.upstream);
+        self.relay.floods.begin_round();
     }
 }

@@ -6,20 +6,36 @@ use std::time::Instant;
 use crate::datapath::kernel_filter::request;
 use crate::datapath::socket::effects::WorkerEffects;
 use crate::datapath::socket::event_key::EventKey;
+use crate::datapath::socket::flood_guard::FloodGuard;
 use crate::datapath::socket::public::Listener;
-use crate::datapath::socket::sys::batch::{Destination, Tag};
-use crate::nat::{Arrival, Direction, DropReason, ListenerId, UpstreamId};
+use crate::datapath::socket::receive_quota::ReceiveQuota;
+use crate::datapath::socket::stray_guard::StrayGuard;
+use crate::datapath::socket::sys::batch::{Batch, Destination, Linux, Tag};
+use crate::nat::{Arrival, Core, Direction, DropReason, ListenerId, UpstreamId};
 
-use super::Worker;
+/// What decides about datagrams, and what it needs for that.
+pub(super) struct Relay {
+    pub(super) core: Core,
+    pub(super) effects: WorkerEffects,
+    pub(super) quota: ReceiveQuota,
+    pub(super) floods: FloodGuard,
+    pub(super) strays: StrayGuard,
+}
 
-impl Worker {
+impl Relay {
     /// Checks what waits on a public socket, and queues what may pass. Returns how many datagrams
     /// were received.
-    pub(super) fn relay_requests(&mut self, id: ListenerId, now: Instant) -> usize {
+    pub(super) fn requests<const SLOT: usize>(
+        &mut self,
+        batch: &mut Batch<Linux, SLOT>,
+        id: ListenerId,
+        now: Instant,
+    ) -> usize {
+        self.make_room(batch, now);
         // The socket may be closed already, or may not be in its place yet.
         let Some(listener) = self.effects.public.get(id) else { return 0 };
         let most = self.quota.most(EventKey::Public(id));
-        let received = self.batch.receive(listener.socket.as_fd(), most, listener.destination());
+        let received = batch.receive(listener.socket.as_fd(), most, listener.destination());
         let mut received = match received {
             Ok(received) => received,
             Err(error) => {
@@ -61,10 +77,16 @@ impl Worker {
     }
 
     /// Does the same with what servers sent to an upstream socket.
-    pub(super) fn relay_responses(&mut self, id: UpstreamId, now: Instant) -> usize {
+    pub(super) fn responses<const SLOT: usize>(
+        &mut self,
+        batch: &mut Batch<Linux, SLOT>,
+        id: UpstreamId,
+        now: Instant,
+    ) -> usize {
+        self.make_room(batch, now);
         let Some(socket) = self.effects.upstream.get(id) else { return 0 };
         let most = self.quota.most(EventKey::Upstream(id));
-        let mut received = match self.batch.receive(socket, most, Destination::Bound) {
+        let mut received = match batch.receive(socket, most, Destination::Bound) {
             Ok(received) => received,
             Err(error) => {
                 self.effects.warnings.note(&error, "cannot receive from the servers");
@@ -92,16 +114,21 @@ impl Worker {
         received.count()
     }
 
-    pub(super) fn make_room(&mut self, now: Instant) {
-        if self.batch.is_full() {
-            self.flush(now);
+    fn make_room<const SLOT: usize>(&mut self, batch: &mut Batch<Linux, SLOT>, now: Instant) {
+        if batch.is_full() {
+            self.flush(batch, now);
         }
     }
 
-    pub(super) fn flush(&mut self, now: Instant) {
+    /// Sends what is queued, and counts it.
+    pub(super) fn flush<const SLOT: usize>(
+        &mut self,
+        batch: &mut Batch<Linux, SLOT>,
+        now: Instant,
+    ) {
         let WorkerEffects { public, upstream, warnings, .. } = &mut self.effects;
         let (public, upstream) = (&*public, &*upstream);
-        self.batch.flush(
+        batch.flush(
             |key| match EventKey::from_key(key) {
                 EventKey::Public(id) => Some(public.get(id)?.socket.as_fd()),
                 EventKey::Upstream(id) => upstream.get(id),

@@ -14,8 +14,8 @@ use std::time::{Duration, Instant};
 
 use pnet_nat::nat::{
     Arrival, Chance, CloseReason, Core, Counters, Credential, Direction, DropReason, Effects,
-    FlowRecord, ListenerId, Mapping, MappingId, NetId, Payload, Rules, Succession, Table,
-    Throttled, ToClient, Transition, UpstreamId,
+    FlowRecord, ListenerId, Mapping, MappingId, NetId, Payload, Rules, SocketKind, Succession,
+    Table, Throttled, ToClient, Transition, UpstreamId,
 };
 use pnet_nat::pnet::wire::{BNA, Datagram, Header, Password};
 
@@ -80,8 +80,14 @@ struct Sockets {
 }
 
 impl Effects for Sockets {
-    fn open_upstream(&mut self, _: &Table, id: UpstreamId, _: NetId, ipv4: bool) -> Option<u16> {
-        assert!(ipv4 && !self.ports.contains_key(&id), "opened twice");
+    fn open_upstream(
+        &mut self,
+        _: &Table,
+        id: UpstreamId,
+        _: NetId,
+        kind: SocketKind,
+    ) -> Option<u16> {
+        assert!(kind.ipv4 && !self.ports.contains_key(&id), "opened twice");
         if self.ports.len() >= self.limit {
             return None;
         }

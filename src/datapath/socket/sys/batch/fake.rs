@@ -250,7 +250,7 @@ fn many_are_received_at_once() {
     let expected = [
         first.clone(),
         came("[2001:db8::7]:1", Some("2001:db8::1"), &[]),
-        came("198.51.100.7:1", Some("198.51.100.1"), &[7; SLOT]),
+        came("198.51.100.7:1", Some("198.51.100.1"), &[7; SHORT]),
     ];
     assert_eq!(received(&mut batch, 3, Destination::FromControl), expected);
     assert_eq!(received(&mut batch, AT_ONCE, Destination::FromControl), [first]);
@@ -322,7 +322,8 @@ fn errors_of_a_receive_come_after_what_was_received() {
 fn what_was_received_is_sent_on() {
     let number = |n: usize| [(n >> 8) as u8, n as u8];
     let octets = |n: usize| [&number(n)[..], &vec![9; n % 100]].concat();
-    let arrivals = (0..SLOTS).map(|n| datagram("198.51.100.7:1", "198.51.100.1", &octets(n)));
+    let arrivals =
+        (0..Batch::<Fake>::SLOTS).map(|n| datagram("198.51.100.7:1", "198.51.100.1", &octets(n)));
     let mut batch = batch(arrivals);
     let (server, source): (SocketAddr, IpAddr) =
         ("172.17.17.4:34379".parse().unwrap(), "198.51.100.1".parse().unwrap());

@@ -27,13 +27,14 @@ use nix::errno::Errno;
 use crate::nat::{Direction, FlowId, MappingId, Payload};
 
 use crate::datapath::socket::sys::address::{Control, Name};
-use calls::{Kernel, Linux};
+use calls::Kernel;
+pub(in crate::datapath) use calls::Linux;
 
-/// Octets that are kept of a datagram. A longer datagram is cut, and what is left is still longer
-/// than any that is accepted.
-const SLOT: usize = 128;
-/// The most datagrams that are held between two sends.
-const SLOTS: usize = 512;
+/// Octets that are kept of a datagram of P-NET. A longer datagram is cut, and what is left is still
+/// longer than any that is accepted.
+pub(in crate::datapath) const SHORT: usize = 128;
+/// The same for protocols whose datagrams fill a frame of Ethernet.
+pub(in crate::datapath) const LONG: usize = 1536;
 /// The most datagrams that are taken from one socket before the next socket has its turn.
 pub(in crate::datapath) const AT_ONCE: usize = 32;
 /// The most datagrams that one message may be cut into. Older kernels refuse more.
@@ -41,12 +42,12 @@ const SEGMENTS: usize = 64;
 
 #[derive(Clone, Copy)]
 #[repr(align(64))]
-struct Octets([u8; SLOT]);
+struct Octets<const SLOT: usize>([u8; SLOT]);
 
-/// Room for the datagrams of one wake-up.
-pub(in crate::datapath) struct Batch<K = Linux> {
+/// Room for the datagrams of one wake-up, with so many octets for each.
+pub(in crate::datapath) struct Batch<K = Linux, const SLOT: usize = SHORT> {
     kernel: K,
-    octets: Box<[Octets]>,
+    octets: Box<[Octets<SLOT>]>,
     names: Box<[Name]>,
     controls: Box<[Control]>,
     /// The messages of the last receive, one for each datagram.
@@ -66,7 +67,7 @@ pub(in crate::datapath) struct Batch<K = Linux> {
 
 // SAFETY: between calls, the pointers in headers, rooms and parts are leftovers: each call that has
 // the kernel follow some of them sets them first, to memory that the same batch owns.
-unsafe impl<K: Send> Send for Batch<K> {}
+unsafe impl<K: Send, const SLOT: usize> Send for Batch<K, SLOT> {}
 
 /// How the address that a datagram was sent to is known.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -79,8 +80,8 @@ pub(in crate::datapath) enum Destination {
 
 /// The datagrams of one [`receive`](Batch::receive). They stay in their slots until the flush, also
 /// those that are not queued.
-pub(in crate::datapath) struct Received<'b, K = Linux> {
-    batch: &'b mut Batch<K>,
+pub(in crate::datapath) struct Received<'b, K = Linux, const SLOT: usize = SHORT> {
+    batch: &'b mut Batch<K, SLOT>,
     count: usize,
     /// How many were looked at.
     seen: usize,
@@ -118,36 +119,40 @@ pub(in crate::datapath) struct Tag {
     pub asks: Option<FlowId>,
 }
 
-impl Batch {
+impl<const SLOT: usize> Batch<Linux, SLOT> {
     pub(in crate::datapath) fn new() -> Self {
         Self::on(Linux)
     }
 }
 
-impl<K: Kernel> Batch<K> {
+impl<K: Kernel, const SLOT: usize> Batch<K, SLOT> {
+    /// The most datagrams that are held between two sends.
+    const SLOTS: usize = if SLOT > SHORT { 64 } else { 512 };
+
     /// A batch that receives and sends through this kernel.
     fn on(kernel: K) -> Self {
         // SAFETY: message headers and parts are plain integers and pointers; all zero is valid.
         let (header, part): (libc::mmsghdr, libc::iovec) =
             unsafe { (mem::zeroed(), mem::zeroed()) };
         Self {
-            segments: kernel.cuts_messages(),
+            // Long datagrams are few, and some ways out take none that would have to be cut.
+            segments: SLOT <= SHORT && kernel.cuts_messages(),
             kernel,
-            octets: vec![Octets([0; SLOT]); SLOTS].into(),
-            names: vec![Name::default(); SLOTS].into(),
-            controls: vec![Control::default(); SLOTS].into(),
+            octets: vec![Octets([0; SLOT]); Self::SLOTS].into(),
+            names: vec![Name::default(); Self::SLOTS].into(),
+            controls: vec![Control::default(); Self::SLOTS].into(),
             incoming: vec![header; AT_ONCE].into(),
             rooms: vec![part; AT_ONCE].into(),
-            headers: vec![header; SLOTS].into(),
-            parts: vec![part; SLOTS].into(),
-            queue: Vec::with_capacity(SLOTS),
+            headers: vec![header; Self::SLOTS].into(),
+            parts: vec![part; Self::SLOTS].into(),
+            queue: Vec::with_capacity(Self::SLOTS),
             used: 0,
         }
     }
 
     /// Whether another [`receive`](Self::receive) needs a [`flush`](Self::flush) first.
     pub(in crate::datapath) fn is_full(&self) -> bool {
-        self.used + AT_ONCE > SLOTS
+        self.used + AT_ONCE > Self::SLOTS
     }
 
     /// Takes up to `most` datagrams that wait on a socket. `most` is at most [`AT_ONCE`].
@@ -157,7 +162,7 @@ impl<K: Kernel> Batch<K> {
         socket: BorrowedFd<'_>,
         most: usize,
         destination: Destination,
-    ) -> io::Result<Received<'_, K>> {
+    ) -> io::Result<Received<'_, K, SLOT>> {
         let received = if most == 1 && destination == Destination::Bound {
             self.receive_one(socket)
         } else {
@@ -212,7 +217,7 @@ impl<K: Kernel> Batch<K> {
     }
 }
 
-impl<K> Received<'_, K> {
+impl<K, const SLOT: usize> Received<'_, K, SLOT> {
     /// How many datagrams there are, whoever sent them.
     pub(in crate::datapath) fn count(&self) -> usize {
         self.count
@@ -239,7 +244,7 @@ impl<K> Received<'_, K> {
     }
 }
 
-impl<K: Kernel> Received<'_, K> {
+impl<K: Kernel, const SLOT: usize> Received<'_, K, SLOT> {
     /// Queues the last datagram for sending on the socket `key`. When the socket has no address of
     /// its own, the datagram leaves from the address `from`.
     #[inline]
@@ -255,7 +260,7 @@ impl<K: Kernel> Received<'_, K> {
     }
 }
 
-impl<K> Drop for Received<'_, K> {
+impl<K, const SLOT: usize> Drop for Received<'_, K, SLOT> {
     fn drop(&mut self) {
         self.batch.used += self.count;
     }

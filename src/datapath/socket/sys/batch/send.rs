@@ -11,9 +11,9 @@ use std::slice;
 use nix::errno::Errno;
 
 use super::calls::Kernel;
-use super::{Batch, Outgoing, SEGMENTS, SLOT, Tag, uninterrupted};
+use super::{Batch, Outgoing, SEGMENTS, Tag, uninterrupted};
 
-impl<K: Kernel> Batch<K> {
+impl<K: Kernel, const SLOT: usize> Batch<K, SLOT> {
     /// Queues the datagram in `slot`; see [`Received::queue`](super::Received::queue).
     pub(super) fn queue(
         &mut self,

@@ -42,7 +42,7 @@ fn flush(batch: &mut Batch, socket: &UdpSocket) -> (usize, usize) {
 
 fn expect(receiver: &UdpSocket, lengths: &[u8], from: IpAddr) {
     for (number, &len) in (0..).zip(lengths) {
-        let mut octets = [0; SLOT];
+        let mut octets = [0; SHORT];
         let (got, sender) = receiver.recv_from(&mut octets).unwrap();
         assert_eq!(octets[..got], vec![number; usize::from(len)]);
         assert_eq!(sender.ip(), from);
@@ -57,7 +57,7 @@ fn bursts_arrive_as_they_were_queued() {
         let socket = UdpSocket::bind((any, 0)).unwrap();
         let (one, other) = (receiver(address), receiver(address));
         for (segments, messages) in [(true, 5), (false, lengths.len())] {
-            let mut batch = Batch::new();
+            let mut batch: Batch = Batch::new();
             batch.segments &= segments;
             queue(&mut batch, 1, &lengths, Some(from), one.local_addr().unwrap());
             let queue_of_one = mem::take(&mut batch.queue);
@@ -87,7 +87,7 @@ fn what_is_received_is_told_alike() {
         let socket = options::public((bound, 0).into(), 1, 1 << 16).unwrap().remove(0);
         let port = socket.local_addr().unwrap().as_socket().unwrap().port();
         let sender = receiver(address);
-        let mut batch = Batch::new();
+        let mut batch: Batch = Batch::new();
         for most in [1, 2, 1, AT_ONCE] {
             let received = batch.receive(socket.as_fd(), most, destination(tells)).unwrap();
             assert_eq!(received.count(), 0);
@@ -109,7 +109,7 @@ fn what_is_received_is_told_alike() {
 fn a_refused_burst_hurts_nobody_else() {
     let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
     let good = receiver("127.0.0.1");
-    let mut batch = Batch::new();
+    let mut batch: Batch = Batch::new();
     queue(&mut batch, 1, &[38; 3], None, "127.0.0.1:0".parse().unwrap());
     queue(&mut batch, 1, &[38; 4], None, good.local_addr().unwrap());
     assert_eq!(flush(&mut batch, &socket), (4, 3), "nobody listens on port 0");

@@ -1,0 +1,280 @@
+//! Which calls pass, and why others do not.
+
+use proptest::prelude::*;
+
+use super::*;
+use crate::profinet::endpoint_mapper::{Handle, HandleFree, Lookup};
+use crate::profinet::rpc::Flags1;
+use crate::profinet::{ByteOrder, Uuid};
+
+const ACTIVITY: Uuid = Uuid::new(0x1234_5678_9ABC_DEF0_1122_3344_5566_7788);
+
+fn read(order: ByteOrder, index: u16) -> ReadImplicit {
+    ReadImplicit {
+        order,
+        object: ObjectUuid { instance: 1, device: 2, vendor: 3 }.to_uuid(),
+        activity: ACTIVITY,
+        sequence: 7,
+        api: 0,
+        slot: 0,
+        subslot: 1,
+        index,
+        record_length: 1000,
+        target_ar: Uuid::NIL,
+    }
+}
+
+fn octets(call: &ReadImplicit) -> Vec<u8> {
+    let mut octets = [0; ReadImplicit::LEN];
+    call.emit(&mut octets).unwrap();
+    octets.to_vec()
+}
+
+fn parse(octets: &[u8]) -> Result<Request, DropReason> {
+    Request::parse(octets, Records::default())
+}
+
+/// The datagram with another header.
+fn with_header(octets: &[u8], change: impl FnOnce(&mut Header)) -> Vec<u8> {
+    let rpc = Rpc::parse(octets).unwrap();
+    let mut header = *rpc.header();
+    change(&mut header);
+    let mut buffer = vec![0; octets.len()];
+    header.emit(&octets[Header::LEN..], &mut buffer).unwrap();
+    buffer
+}
+
+#[test]
+fn p_4_reading_passes_in_both_byte_orders() {
+    for order in [ByteOrder::Big, ByteOrder::Little] {
+        let request = parse(&octets(&read(order, 0xAFF0))).unwrap();
+        assert!(request.wants_answer());
+        let mut buffer = [0; 200];
+        let length = Lookup::next_of_all(Handle::default()).emit(order, ACTIVITY, 0, &mut buffer);
+        assert!(parse(&buffer[..length.unwrap()]).is_ok());
+        let free = HandleFree { handle: Handle::default() };
+        let length = free.emit(order, ACTIVITY, 1, &mut buffer).unwrap();
+        assert!(parse(&buffer[..length]).is_ok());
+    }
+}
+
+#[test]
+fn p_4_each_other_operation_has_a_reason_of_its_own() {
+    let sound = octets(&read(ByteOrder::Little, 0xAFF0));
+    for (operation, reason) in [
+        (0, DropReason::RpcConnect),
+        (1, DropReason::RpcRelease),
+        (2, DropReason::RpcRead),
+        (3, DropReason::RpcWrite),
+        (4, DropReason::RpcControl),
+        (6, DropReason::RpcInterface),
+    ] {
+        let other = with_header(&sound, |header| header.operation = operation);
+        assert_eq!(parse(&other).unwrap_err(), reason);
+        // The same in what goes on with a call.
+        let ping = answer(ByteOrder::Little, PacketType::Ping);
+        let ping = with_header(&ping, |header| header.operation = operation);
+        assert_eq!(parse(&ping).unwrap_err(), reason);
+    }
+    let interface =
+        |interface: Interface| with_header(&sound, |header| header.interface = interface.uuid());
+    for other in [Interface::Controller, Interface::Supervisor, Interface::ParameterServer] {
+        assert_eq!(parse(&interface(other)).unwrap_err(), DropReason::RpcInterface);
+    }
+    let version = with_header(&sound, |header| header.interface_version = 2);
+    assert_eq!(parse(&version).unwrap_err(), DropReason::RpcInterface);
+    let broadcast = with_header(&sound, |header| header.flags1 = Flags1(Flags1::BROADCAST));
+    assert_eq!(parse(&broadcast).unwrap_err(), DropReason::Broadcast);
+    let response = with_header(&sound, |header| header.packet_type = PacketType::Response);
+    assert_eq!(parse(&response).unwrap_err(), DropReason::PacketType);
+    let proof = with_header(&sound, |header| header.auth_protocol = 1);
+    assert_eq!(parse(&proof).unwrap_err(), DropReason::BadHeader);
+}
+
+#[test]
+fn p_5_what_contradicts_itself_is_malformed() {
+    let sound = octets(&read(ByteOrder::Big, 0xAFF0));
+    for (at, octet, reason) in [
+        (0, 5, DropReason::BadHeader),
+        (1, 11, DropReason::BadHeader),
+        (4, 0x20, DropReason::BadHeader),
+        (75, 103, DropReason::BadLength),
+        (8, 0, DropReason::BadNdr),   // an object that is none of PROFINET
+        (83, 1, DropReason::BadNdr),  // the arguments' maximum
+        (87, 65, DropReason::BadNdr), // their length
+        (95, 1, DropReason::BadNdr),  // offset
+        (99, 63, DropReason::BadNdr), // actual count
+        (101, 8, DropReason::BadNdr), // another block
+        (103, 59, DropReason::BadNdr), // its length
+        (110, 1, DropReason::RpcRead), // an AR
+    ] {
+        let mut other = sound.clone();
+        other[at] = octet;
+        assert_eq!(parse(&other).unwrap_err(), reason, "octet {at} is {octet}");
+    }
+    assert_eq!(parse(&sound[..79]).unwrap_err(), DropReason::TooShort);
+    assert_eq!(parse(&[&sound[..], &[0; 1400]].concat()).unwrap_err(), DropReason::TooLong);
+    assert_eq!(parse(&[&sound[..], &[0]].concat()).unwrap_err(), DropReason::BadLength);
+}
+
+#[test]
+fn p_9_only_listed_records_are_read() {
+    let reason = |index| parse(&octets(&read(ByteOrder::Big, index))).err();
+    for index in [0xAFF0, 0xAFF5, 0xF840, 0xF841, 0xF80C, 0xF830, 0xF000] {
+        assert_eq!(reason(index), None, "{index:#06x}");
+    }
+    for index in [0x0001, 0x8000, 0xE040, 0xF821, 0xB02E, 0xAFF6] {
+        assert_eq!(reason(index), Some(DropReason::RecordNotAllowed), "{index:#06x}");
+    }
+}
+
+/// A read with a query of this many octets, cut into two fragments behind `first` of them.
+fn fragments(query: u32, first: usize) -> [Vec<u8>; 2] {
+    let whole = octets(&read(ByteOrder::Big, 0xAFF0));
+    let length = (64 + query).to_be_bytes();
+    let maximum = 2000_u32.to_be_bytes();
+    let stub = [
+        &maximum[..],
+        &length,
+        &maximum,
+        &[0; 4],
+        &length,
+        &whole[100..],
+        &vec![7; query as usize],
+    ];
+    let stub = stub.concat();
+    let header = *Rpc::parse(&whole).unwrap().header();
+    [(0, &stub[..84 + first]), (1, &stub[84 + first..])].map(|(number, part)| {
+        let last = if number == 1 { Flags1::LAST_FRAGMENT } else { 0 };
+        let flags1 = Flags1(Flags1::FRAGMENT | last);
+        let header = Header { flags1, fragment_number: number, ..header };
+        let mut buffer = [0; 1500];
+        let length = header.emit(part, &mut buffer).unwrap();
+        buffer[..length].to_vec()
+    })
+}
+
+#[test]
+fn p_8_fragments_belong_together_and_are_as_long_as_the_first_one_says() {
+    let mut exchanges = Exchanges::default();
+    let [first, last] = fragments(100, 40);
+    let (first, last) = (parse(&first).unwrap(), parse(&last).unwrap());
+    assert!(!first.wants_answer() && last.wants_answer());
+    assert_eq!(last.goes_on(Some(&exchanges), 1), Err(DropReason::UnknownExchange));
+    assert_eq!(last.goes_on(None, 1), Err(DropReason::UnknownExchange));
+    assert_eq!(first.goes_on(None, 1), Ok(()));
+    exchanges.asked(&first, 1);
+    let [_, too_long] = fragments(101, 40);
+    let too_long = parse(&too_long).unwrap();
+    assert_eq!(too_long.goes_on(Some(&exchanges), 2), Err(DropReason::BadNdr));
+    assert_eq!(last.goes_on(Some(&exchanges), 2), Ok(()));
+    exchanges.asked(&last, 2);
+    assert_eq!(last.goes_on(Some(&exchanges), 3), Ok(()), "it is sent again");
+    assert_eq!(too_long.goes_on(Some(&exchanges), 3), Ok(()), "so it looks; it changes nothing");
+
+    // A request that is cut before its header is complete cannot be checked.
+    let whole = octets(&read(ByteOrder::Big, 0xAFF0));
+    let cut = with_header(&whole[..], |header| header.flags1 = Flags1(Flags1::FRAGMENT));
+    assert_eq!(parse(&cut).unwrap_err(), DropReason::BadNdr, "nothing is left for others");
+    let alone = with_header(&whole, |header| {
+        header.flags1 = Flags1(Flags1::FRAGMENT | Flags1::LAST_FRAGMENT);
+    });
+    assert!(parse(&alone).unwrap().wants_answer());
+}
+
+fn answer(order: ByteOrder, packet_type: PacketType) -> Vec<u8> {
+    let header = Header {
+        packet_type,
+        activity: ACTIVITY,
+        sequence: 7,
+        ..Header::request(order, Interface::Device.uuid(), ReadImplicit::OPERATION)
+    };
+    let stub: &[u8] = match packet_type {
+        PacketType::Response => &[0; 20],
+        PacketType::Fault | PacketType::Reject => &[0; 4],
+        _ => &[],
+    };
+    let mut buffer = [0; 200];
+    let length = header.emit(stub, &mut buffer).unwrap();
+    buffer[..length].to_vec()
+}
+
+/// Requests and answers of one call may have different byte orders, and any port of the device.
+#[test]
+fn p_7_an_answer_belongs_to_its_call() {
+    let request = parse(&octets(&read(ByteOrder::Little, 0xAFF0))).unwrap();
+    let mut exchanges = Exchanges::default();
+    let sound = answer(ByteOrder::Big, PacketType::Response);
+    let unknown = Err(DropReason::UnknownExchange);
+    assert_eq!(response(&sound, &mut exchanges, 49_153, 1), unknown);
+    assert_eq!(exchanges.asked(&request, 1), None, "to the device's own port");
+    for (packet_type, is_answer) in [
+        (PacketType::Working, false),
+        (PacketType::Fack, false),
+        (PacketType::CancelAck, false),
+        (PacketType::Nocall, false),
+        (PacketType::Fault, true),
+        (PacketType::Reject, true),
+        (PacketType::Response, true),
+    ] {
+        let octets = answer(ByteOrder::Big, packet_type);
+        assert_eq!(response(&octets, &mut exchanges, 49_153, 2), Ok(is_answer), "{packet_type:?}");
+    }
+    assert_eq!(exchanges.asked(&request, 3), Some(49_153), "it goes on where the answer came from");
+    for packet_type in
+        [PacketType::Request, PacketType::Ping, PacketType::Ack, PacketType::ClCancel]
+    {
+        let octets = answer(ByteOrder::Big, PacketType::Working);
+        let octets = with_header(&octets, |header| header.packet_type = packet_type);
+        let refused = response(&octets, &mut exchanges, 49_153, 3).unwrap_err();
+        assert!(matches!(refused, DropReason::PacketType | DropReason::BadNdr), "{refused:?}");
+    }
+    let other = with_header(&sound, |header| header.sequence = 8);
+    assert_eq!(response(&other, &mut exchanges, 49_153, 4), unknown);
+    let other = with_header(&sound, |header| header.activity = Uuid::new(1));
+    assert_eq!(response(&other, &mut exchanges, 49_153, 4), unknown);
+    let late = 3 + 10_000_000_000;
+    assert_eq!(response(&sound, &mut exchanges, 49_153, late), unknown, "late");
+    let mut malformed = sound;
+    malformed[99] = 1;
+    assert_eq!(response(&malformed, &mut exchanges, 49_153, 4), Err(DropReason::BadNdr));
+}
+
+#[test]
+fn of_many_calls_the_newest_are_known() {
+    let mut exchanges = Exchanges::default();
+    let call =
+        |sequence| parse(&octets(&ReadImplicit { sequence, ..read(ByteOrder::Big, 0xAFF0) }));
+    let answer = |sequence| {
+        let sound = answer(ByteOrder::Little, PacketType::Response);
+        with_header(&sound, |header| header.sequence = sequence)
+    };
+    for sequence in 0..20 {
+        exchanges.asked(&call(sequence).unwrap(), 100 + u64::from(sequence));
+    }
+    let known = |sequence| response(&answer(sequence), &mut exchanges.clone(), 1, 200).is_ok();
+    assert!((0..12).all(|sequence| !known(sequence)) && (12..20).all(known));
+}
+
+proptest! {
+    /// Whatever is changed, nothing but a read that is listed begins a call, and nothing panics.
+    #[test]
+    fn only_reading_begins_a_call(
+        changes in prop::collection::vec((0..ReadImplicit::LEN, any::<u8>()), 0..6),
+        cut in prop::option::of(0..ReadImplicit::LEN),
+        little in any::<bool>(),
+    ) {
+        let order = if little { ByteOrder::Little } else { ByteOrder::Big };
+        let mut octets = octets(&read(order, 0xAFF0));
+        for (at, octet) in changes {
+            octets[at] = octet;
+        }
+        octets.truncate(cut.unwrap_or(ReadImplicit::LEN));
+        if let Ok(request) = parse(&octets) && request.continued.is_none() {
+            let rpc = Rpc::parse(&octets).unwrap();
+            let read = ReadImplicit::parse(&rpc);
+            prop_assert!(matches!(read, Ok(Some(read)) if Records::default().include(read.index)));
+        }
+        let _ = response(&octets, &mut Exchanges::default(), 1, 1);
+    }
+}
