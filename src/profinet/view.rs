@@ -67,12 +67,12 @@ pub(super) fn word(number: u64, words: &[(u64, &'static str)]) -> Value<'static>
 
 /// Makes a view and its fields: `name: type`, with `=> function` where a number has words or parts.
 macro_rules! view {
-    ($(#[$doc:meta])* pub struct $name:ident $(<$life:lifetime>)? {
+    ($(#[$doc:meta])* $public:vis struct $name:ident $(<$life:lifetime>)? {
         $($(#[$field_doc:meta])* $field:ident: $type:ty $(=> $words:expr)?,)*
     }) => {
         $(#[$doc])*
         #[derive(Clone, Copy, Debug)]
-        pub struct $name $(<$life>)? {
+        $public struct $name $(<$life>)? {
             $($(#[$field_doc])* pub $field: $type,)*
         }
 
@@ -307,4 +307,4 @@ impl<'a, T: View<'a> + fmt::Debug, const COUNT: usize> fmt::Debug for List<'a, T
 }
 
 #[cfg(test)]
-mod tests;
+pub(super) mod tests;
