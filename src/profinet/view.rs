@@ -31,6 +31,8 @@ pub enum Value<'v> {
     Fields(&'v dyn Show),
     /// Values that follow each other.
     List(&'v dyn Each),
+    /// Why the rest cannot be read.
+    Fault(Malformed),
 }
 
 /// Something that has fields.
@@ -57,6 +59,26 @@ pub trait View<'a>: Sized {
 /// The part of a number that has these bits.
 pub fn bits(number: u64, lowest: u32, count: u32) -> u64 {
     number.checked_shr(lowest).unwrap_or(0) & 1_u64.checked_shl(count).map_or(u64::MAX, |n| n - 1)
+}
+
+/// Why something inside cannot be read, the first of all reasons.
+pub fn first_fault(show: &dyn Show) -> Option<Malformed> {
+    let mut fault = None;
+    show.show(&mut |_, value| fault = fault.or_else(|| fault_of(value)));
+    fault
+}
+
+fn fault_of(value: Value<'_>) -> Option<Malformed> {
+    match value {
+        Value::Fault(fault) => Some(fault),
+        Value::Fields(show) => first_fault(show),
+        Value::List(each) => {
+            let mut fault = None;
+            each.each(&mut |value| fault = fault.or_else(|| fault_of(value)));
+            fault
+        }
+        _ => None,
+    }
 }
 
 /// A number and its word in a table.

@@ -38,7 +38,7 @@ pub use physical::{
 };
 pub use record::{
     IodReadReqHeader, IodReadResHeader, IodWriteReqHeader, IodWriteResHeader, MULTIPLE_WRITE,
-    Record,
+    Record, RecordIndex,
 };
 
 use super::view::{Show, Value, View};
@@ -84,6 +84,11 @@ impl<'a> Block<'a> {
         Contents::of(self)
     }
 
+    /// Which record the header of a read or a write is for; none for another block.
+    pub fn record_index(&self) -> Option<RecordIndex> {
+        record::index(self.block_type, self.octets).map(RecordIndex)
+    }
+
     /// The record behind the header of a read answer or of a write; of another block there is none.
     pub fn record(&self) -> Option<Record<'a>> {
         self.record.map(|octets| Record::of(self, octets))
@@ -125,10 +130,9 @@ impl Show for Block<'_> {
         }
         match self.contents() {
             Ok(contents) => contents.show(visit),
-            Err(Malformed { offset, what }) => {
+            Err(fault) => {
                 visit("octets", Value::Octets(self.octets.rest()));
-                visit("error", Value::Display(&what));
-                visit("error_offset", Value::Number(offset as u64));
+                visit("error", Value::Fault(fault));
             }
         }
         match self.record() {
@@ -155,6 +159,16 @@ impl<'a> Blocks<'a> {
     /// Those of a record that holds several writes: each begins at a multiple of four.
     fn padded(octets: Octets<'a>) -> Self {
         Self { octets, is_padded: true }
+    }
+
+    /// The number of octets that the blocks have.
+    pub fn len(&self) -> usize {
+        self.octets.len()
+    }
+
+    /// Whether there is no block.
+    pub fn is_empty(&self) -> bool {
+        self.octets.is_empty()
     }
 
     fn read(&mut self) -> Result<Block<'a>, Malformed> {
@@ -195,7 +209,6 @@ impl super::view::Each for Blocks<'_> {
 
 impl Show for Malformed {
     fn show(&self, visit: &mut dyn FnMut(&'static str, Value<'_>)) {
-        visit("error", Value::Display(&self.what));
-        visit("error_offset", Value::Number(self.offset as u64));
+        visit("error", Value::Fault(*self));
     }
 }

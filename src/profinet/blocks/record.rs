@@ -1,5 +1,7 @@
 //! The headers of records that are read and written (P-9), and where the record behind them is.
 
+use std::fmt;
+
 use super::super::records;
 use super::super::view::{Skip, View, view};
 use super::super::{Malformed, Octets, PnioStatus, Uuid};
@@ -121,6 +123,27 @@ pub(super) fn len_behind(block_type: u16, mut contents: Octets<'_>) -> Option<us
     contents.u32().ok().map(|len| usize::try_from(len).unwrap_or(usize::MAX))
 }
 
+/// The index in one of the four headers.
+pub(super) fn index(block_type: u16, mut contents: Octets<'_>) -> Option<u16> {
+    if !matches!(block_type, 0x0008 | 0x0009 | 0x8008 | 0x8009) {
+        return None;
+    }
+    contents.take(INDEX).and_then(|_| contents.u16()).ok()
+}
+
+/// Which record it is: its name where it has one.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct RecordIndex(pub u16);
+
+impl fmt::Display for RecordIndex {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match records::record_name(self.0) {
+            Some(name) => f.write_str(name),
+            None => write!(f, "{:#06x}", self.0),
+        }
+    }
+}
+
 /// A record behind its header.
 #[derive(Clone, Copy, Debug)]
 pub enum Record<'a> {
@@ -132,11 +155,9 @@ pub enum Record<'a> {
 
 impl<'a> Record<'a> {
     pub(super) fn of(header: &Block<'_>, octets: Octets<'a>) -> Self {
-        let mut contents = header.octets;
-        let index = contents.take(INDEX).and_then(|_| contents.u16()).unwrap_or_default();
-        match index {
+        match index(header.block_type, header.octets).unwrap_or_default() {
             MULTIPLE_WRITE => Self::Blocks(Blocks::padded(octets)),
-            _ if records::has_blocks(index) => Self::Blocks(Blocks::new(octets)),
+            index if records::has_blocks(index) => Self::Blocks(Blocks::new(octets)),
             _ => Self::Octets(octets),
         }
     }

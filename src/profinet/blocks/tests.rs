@@ -59,8 +59,10 @@ fn p_6_a_block_that_is_cut_ends_the_blocks_with_its_place() {
     assert_eq!(
         shown(&only(&octets)),
         "{type: 26, name: APIData, version: 1.0, length: 8, octets: [00, 02, 00, 00, 00, 07], \
-         error: the octets end too early, error_offset: 12}"
+         error: the octets end too early at octet 12}"
     );
+    let fault = super::super::view::first_fault(&only(&octets)).unwrap();
+    assert_eq!(fault.offset, 12);
 }
 
 #[test]

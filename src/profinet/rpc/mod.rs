@@ -9,6 +9,7 @@ mod body;
 mod header;
 mod interface;
 mod read_implicit;
+mod show;
 #[cfg(test)]
 mod tests;
 

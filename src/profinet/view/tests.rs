@@ -46,6 +46,7 @@ fn write_value(text: &mut String, value: Value<'_>) {
             });
             text.push('}');
         }
+        Value::Fault(fault) => write!(text, "{fault}").unwrap(),
         Value::List(each) => {
             text.push('[');
             each.each(&mut |value| {
