@@ -28,7 +28,10 @@ pub(super) struct Captured<'a> {
     pub(super) number: u64,
     pub(super) time: Option<SystemTime>,
     pub(super) link: Linktype,
+    /// As far as it was captured.
     pub(super) octets: &'a [u8],
+    /// Octets that were sent.
+    pub(super) length: usize,
 }
 
 /// Whether a file that begins with these octets is a capture.
@@ -86,6 +89,7 @@ fn read_pcap(
             // The upper bits describe what follows a frame.
             link: Linktype(header.network.0 & 0xFFFF),
             octets: frame.data,
+            length: frame.origlen as usize,
         })?;
     }
     Ok(())
@@ -100,7 +104,7 @@ fn read_pcapng(
     while blocks.next_pcapng(&mut big_endian)? {
         let parse = if big_endian { parse_block_be } else { parse_block_le };
         let (_, block) = parse(&blocks.block).ok().with_context(|| blocks.bad_block())?;
-        let (interface, time, octets) = match &block {
+        let (interface, time, octets, length) = match &block {
             Block::SectionHeader(_) => {
                 interfaces.clear();
                 continue;
@@ -113,14 +117,18 @@ fn read_pcapng(
             Block::EnhancedPacket(packet) => {
                 let interface = interfaces.get(packet.if_id as usize);
                 let units = u64::from(packet.ts_high) << 32 | u64::from(packet.ts_low);
-                (interface, interface.and_then(|it| it.time(units)), packet.packet_data())
+                let time = interface.and_then(|it| it.time(units));
+                (interface, time, packet.packet_data(), packet.origlen)
             }
-            Block::SimplePacket(packet) => (interfaces.first(), None, packet.packet_data()),
+            Block::SimplePacket(packet) => {
+                (interfaces.first(), None, packet.packet_data(), packet.origlen)
+            }
             _ => continue,
         };
         number += 1;
         let interface = interface.with_context(|| blocks.bad_block())?;
-        each(Captured { number, time, link: interface.link, octets })?;
+        let length = length as usize;
+        each(Captured { number, time, link: interface.link, octets, length })?;
     }
     Ok(())
 }

@@ -14,6 +14,9 @@ use super::fragments::{Broken, Fragments, Outcome, Partial};
 use super::line::{Line, Locator, Reason, Unanswered};
 use super::packet::{self, Found, Udp};
 use super::pairing::{Asked, Pairing, Request};
+use super::profinet::{
+    self, Ethernet, FrameLine, ProfinetReport, ProfinetSummary, Protocol, Shown,
+};
 use super::row::{self, InRow};
 use super::settings::Settings;
 use super::stop::Stop;
@@ -28,6 +31,7 @@ pub(super) struct Decoder<'a, W> {
     fragments: Fragments,
     pairing: Pairing,
     summary: Summary,
+    profinet: ProfinetSummary,
     unknown_link: Option<i32>,
 }
 
@@ -39,6 +43,7 @@ impl<'a, W: Write> Decoder<'a, W> {
             fragments: Fragments::default(),
             pairing: Pairing::default(),
             summary: Summary::default(),
+            profinet: ProfinetSummary::default(),
             unknown_link: None,
         }
     }
@@ -50,12 +55,18 @@ impl<'a, W: Write> Decoder<'a, W> {
 
     /// Shows what is in a captured packet.
     pub(super) fn packet(&mut self, captured: &Captured<'_>) -> io::Result<()> {
-        let &Captured { number, time, link, octets } = captured;
+        let &Captured { number, time, link, octets, .. } = captured;
         while let Some(partial) = self.fragments.overdue(time) {
             self.broken(&partial, Broken::Missing)?;
         }
         while let Some(request) = self.pairing.overdue(time) {
             self.unanswered(&request, Reason::Time)?;
+        }
+        if let Some(frame) = profinet::frame(captured) {
+            return self.frame(captured, &frame);
+        }
+        if !self.settings.shows(Protocol::PNet) {
+            return Ok(());
         }
         match packet::find(link, octets) {
             Ok(Some(Found::Datagram(udp))) => self.udp(captured, &udp, None),
@@ -74,6 +85,30 @@ impl<'a, W: Write> Decoder<'a, W> {
                 self.unknown_link = Some(link.0);
                 Ok(())
             }
+        }
+    }
+
+    /// Shows a frame of PROFINET, or of a protocol beside it.
+    fn frame(&mut self, captured: &Captured<'_>, frame: &Ethernet<'_>) -> io::Result<()> {
+        let (protocol, fields) = profinet::Fields::of(frame);
+        if !self.settings.shows(protocol) {
+            return Ok(());
+        }
+        self.profinet.frame(frame, (protocol, &fields), captured.time);
+        let line = FrameLine {
+            frame: captured.number,
+            time: captured.time,
+            from: Shown(frame.from),
+            to: frame.to.map(Shown),
+            vlan: frame.vlan,
+            protocol,
+            fields,
+        };
+        let mut output = self.output.borrow_mut();
+        match self.settings.format {
+            Format::Text if self.settings.is_verbose => line.write_tree(&mut *output),
+            Format::Text => line.write_text(&mut *output),
+            Format::Json => print_json(&line, &mut *output),
         }
     }
 
@@ -126,6 +161,14 @@ impl<'a, W: Write> Decoder<'a, W> {
         while let Some(request) = self.pairing.next() {
             self.unanswered(&request, Reason::End)?;
         }
+        if !self.profinet.is_empty() {
+            let report = self.profinet.report();
+            let mut output = self.output.borrow_mut();
+            match self.settings.format {
+                Format::Text => write!(output, "{report}")?,
+                Format::Json => print_json(&InJson::ProfinetSummary(&report), &mut *output)?,
+            }
+        }
         if self.summary.datagrams > 0 {
             let report = self.summary.report(stop.has_come(), |server| self.settings.name(server));
             let mut output = self.output.borrow_mut();
@@ -145,7 +188,7 @@ impl<'a, W: Write> Decoder<'a, W> {
                  loopback are read"
             ));
         }
-        if self.summary.datagrams == 0 {
+        if self.summary.datagrams == 0 && self.profinet.is_empty() {
             complain("no datagram on these ports; --ports adds others");
         }
     }
@@ -179,7 +222,8 @@ impl<'a, W: Write> Decoder<'a, W> {
             }
         }
         let answer = asked.map(Into::into);
-        let line = Line { place: at, fragments, in_row, fields, answer };
+        let (frame, protocol) = (at.packet(), Protocol::PNet);
+        let line = Line { place: at, frame, protocol, fragments, in_row, fields, answer };
         let mut output = self.output.borrow_mut();
         match self.settings.format {
             Format::Text if self.settings.is_verbose => line.write_tree(&mut *output),
@@ -243,6 +287,7 @@ struct Place {
 enum InJson<'a> {
     Unanswered(&'a Unanswered),
     Summary(&'a Report<'a>),
+    ProfinetSummary(&'a ProfinetReport),
 }
 
 #[cfg(test)]
@@ -307,7 +352,8 @@ mod tests {
                 }
                 let time = Some(UNIX_EPOCH + Duration::from_micros(micros));
                 let link = Linktype::RAW;
-                decoder.packet(&Captured { number, time, link, octets: &octets }).unwrap();
+                let length = octets.len();
+                decoder.packet(&Captured { number, time, link, octets: &octets, length }).unwrap();
             }
             decoder.finish(&Stop::default()).unwrap();
             let text = String::from_utf8(output.take()).unwrap();

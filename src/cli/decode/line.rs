@@ -10,6 +10,7 @@ use serde::{Serialize, Serializer};
 
 use super::fields::{Fields, Tree};
 use super::pairing::{Asked, PATIENCE, Request};
+use super::profinet::Protocol;
 use super::row::InRow;
 
 /// A datagram and where it was found.
@@ -17,6 +18,10 @@ use super::row::InRow;
 pub(super) struct Line<'a> {
     #[serde(flatten)]
     pub(super) place: Locator,
+    /// The number of the packet again, as the other protocols call it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) frame: Option<u64>,
+    pub(super) protocol: Protocol,
     /// How many IP fragments it came in, if it did.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(super) fragments: Option<u64>,
@@ -98,6 +103,16 @@ impl Unanswered {
     }
 }
 
+impl Locator {
+    /// The number of the packet, in a capture.
+    pub(super) fn packet(&self) -> Option<u64> {
+        match self {
+            Self::Text { .. } => None,
+            Self::Capture { packet, .. } => Some(*packet),
+        }
+    }
+}
+
 impl Line<'_> {
     /// With a line for each field.
     pub(super) fn write_tree(&self, output: &mut impl Write) -> io::Result<()> {
@@ -175,7 +190,11 @@ impl Display for Unanswered {
     }
 }
 
-fn rfc3339<S: Serializer>(time: &Option<SystemTime>, serializer: S) -> Result<S::Ok, S::Error> {
+/// Times as they are in every JSON object.
+pub(super) fn rfc3339<S: Serializer>(
+    time: &Option<SystemTime>,
+    serializer: S,
+) -> Result<S::Ok, S::Error> {
     match time {
         Some(time) => serializer.collect_str(&humantime::format_rfc3339_micros(*time)),
         None => serializer.serialize_none(),
@@ -197,6 +216,8 @@ mod tests {
         let fields = Fields::of(octets, length, Header::default());
         Line {
             place: Locator::Text { line: 7 },
+            frame: None,
+            protocol: Protocol::PNet,
             fragments: None,
             in_row: None,
             fields,

@@ -39,6 +39,7 @@ use crate::pnet::wire::Header;
 use decoder::Decoder;
 use input::Input;
 use ports::PortRange;
+use profinet::Protocol;
 use settings::Settings;
 use stop::Stop;
 
@@ -64,6 +65,11 @@ pub(super) struct Args {
     /// UDP ports to show in addition to 34378 and 34379, separated by commas: the public ports.
     #[arg(long, value_name = "PORT[-LAST]", value_delimiter = ',', env = "PNET_NAT_PORTS")]
     ports: Vec<PortRange>,
+
+    /// Protocols to show, separated by commas; all where this is left out. A plant sends thousands of RT
+    /// frames a second.
+    #[arg(long, value_enum, value_delimiter = ',', env = "PNET_NAT_PROTOCOL")]
+    protocol: Vec<Protocol>,
 
     /// A configuration of the relay: its public ports, the ports of its servers and its header are taken
     /// from there, and the summary has the names of its nets.

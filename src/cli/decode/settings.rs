@@ -6,6 +6,7 @@ use std::sync::Arc;
 
 use super::Args;
 use super::ports::Ports;
+use super::profinet::Protocol;
 use crate::cli::output::Format;
 use crate::cli::told;
 use crate::config;
@@ -19,6 +20,8 @@ pub(super) struct Settings {
     pub(super) format: Format,
     /// Text has a line for each field.
     pub(super) is_verbose: bool,
+    /// All where it is empty.
+    protocols: Vec<Protocol>,
     /// That of the relay's configuration, if there is one.
     table: Option<Arc<Table>>,
 }
@@ -40,7 +43,13 @@ impl Settings {
             table = Some(config.table);
         }
         let header = header.unwrap_or_default();
-        Ok(Self { ports, header, format: args.format, is_verbose: args.verbose, table })
+        let (format, protocols) = (args.format, args.protocol.clone());
+        Ok(Self { ports, header, format, is_verbose: args.verbose, protocols, table })
+    }
+
+    /// Whether somebody wants to see it.
+    pub(super) fn shows(&self, protocol: Protocol) -> bool {
+        self.protocols.is_empty() || self.protocols.contains(&protocol)
     }
 
     /// The net and the node behind an address and port that was asked: that of a node in the plant, or a

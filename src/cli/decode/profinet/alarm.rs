@@ -1,0 +1,106 @@
+//! Frames of an alarm connection.
+
+use std::fmt::{self, Display};
+
+use serde::Serialize;
+
+use super::Fault;
+use super::words::Shown;
+use crate::cli::output::Hex;
+use crate::profinet::Octets;
+use crate::profinet::alarm::{AlarmFrame, PduType};
+use crate::profinet::rt::FrameId;
+
+/// What such a frame says.
+#[derive(Debug, Serialize)]
+pub(in crate::cli::decode) struct AlarmFields<'a> {
+    frame_id: u16,
+    frame_id_name: &'static str,
+    #[serde(flatten)]
+    header: Option<Header<'a>>,
+    #[serde(flatten)]
+    pub(super) fault: Option<Fault>,
+}
+
+#[derive(Debug, Serialize)]
+struct Header<'a> {
+    destination_endpoint: u16,
+    source_endpoint: u16,
+    pdu_type: u8,
+    pdu_type_name: &'static str,
+    version: u8,
+    window_size: u8,
+    immediate_acknowledge: u8,
+    send_sequence: u16,
+    acknowledge_sequence: u16,
+    contents_length: usize,
+    /// Why the connection ends.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    status: Option<[u8; 4]>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    contents: Option<Shown<Hex<'a>>>,
+}
+
+impl<'a> AlarmFields<'a> {
+    pub(super) fn of(frame_id: FrameId, behind: Octets<'a>) -> Self {
+        let read = AlarmFrame::parse(behind);
+        let mut fault = read.as_ref().err().copied().map(Fault::from);
+        let header = read.ok().map(|frame| {
+            let status = frame.error_status().unwrap_or_else(|error| {
+                fault = Some(error.into());
+                None
+            });
+            Header::of(&frame, status)
+        });
+        Self { frame_id: frame_id.0, frame_id_name: frame_id.name(), header, fault }
+    }
+
+    /// Which queue, and what the frame is.
+    pub(super) fn kind(&self) -> Option<(FrameId, PduType)> {
+        let header = self.header.as_ref()?;
+        Some((FrameId(self.frame_id), header.pdu_type.into()))
+    }
+}
+
+impl<'a> Header<'a> {
+    fn of(frame: &AlarmFrame<'a>, status: Option<[u8; 4]>) -> Self {
+        let contents = frame.contents.rest();
+        Self {
+            destination_endpoint: frame.destination_endpoint,
+            source_endpoint: frame.source_endpoint,
+            pdu_type: frame.pdu_type.number(),
+            pdu_type_name: frame.pdu_type.name(),
+            version: frame.version,
+            window_size: frame.window_size,
+            immediate_acknowledge: frame.immediate_acknowledge,
+            send_sequence: frame.send_sequence,
+            acknowledge_sequence: frame.acknowledge_sequence,
+            contents_length: contents.len(),
+            status,
+            contents: (!contents.is_empty()).then_some(Shown(Hex(contents))),
+        }
+    }
+}
+
+impl Display for AlarmFields<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.frame_id_name)?;
+        let Some(header) = &self.header else { return Ok(()) };
+        write!(
+            f,
+            ", {}, endpoint {} to {}, sends {}, acknowledges {}",
+            header.pdu_type_name,
+            header.source_endpoint,
+            header.destination_endpoint,
+            header.send_sequence,
+            header.acknowledge_sequence
+        )?;
+        if let Some(status) = &header.status {
+            return write!(f, ", status {}", Hex(status));
+        }
+        match header.contents_length {
+            0 => Ok(()),
+            length => write!(f, ", {length} octets"),
+        }
+    }
+}

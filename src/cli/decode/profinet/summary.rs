@@ -1,0 +1,256 @@
+//! What a capture has shown of PROFINET, stream by stream. A stream is what one station sends to another
+//! with one frame ID. Invariant: at most [`MOST`] have a row of their own.
+
+use std::collections::HashMap;
+use std::fmt::{self, Display};
+use std::time::SystemTime;
+
+use comfy_table::CellAlignment;
+use foldhash::fast::RandomState;
+use serde::Serialize;
+
+use super::ethernet::{Ethernet, Vlan};
+use super::streams::Stream;
+use super::words::Shown;
+use super::{Fields, Protocol};
+use crate::cli::output::{duration, table};
+use crate::profinet::MacAddress;
+use crate::profinet::alarm::PduType;
+use crate::profinet::rt::FrameId;
+
+/// Streams with a row of their own; the others share one.
+const MOST: usize = 1024;
+
+/// Whose frames they are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+struct Key {
+    from: MacAddress,
+    to: Option<MacAddress>,
+    frame_id: FrameId,
+    /// With planned duplication, the same frame goes both ways round the ring on two VLANs.
+    vlan_id: Option<u16>,
+}
+
+/// Counts of a capture.
+#[derive(Debug, Default)]
+pub(in crate::cli::decode) struct ProfinetSummary {
+    /// By the number of the protocol.
+    frames: [u64; Protocol::ALL.len()],
+    malformed: u64,
+    rows: Vec<Row>,
+    /// The place of a stream's row.
+    places: HashMap<Key, usize, RandomState>,
+    /// Frames of streams without a row.
+    others: u64,
+}
+
+#[derive(Debug)]
+struct Row {
+    key: Key,
+    stream: Stream,
+    /// DATA frames of an alarm connection.
+    alarms: u64,
+    /// ERR frames of an alarm connection.
+    aborts: u64,
+}
+
+impl ProfinetSummary {
+    /// Counts a frame.
+    pub(in crate::cli::decode) fn frame(
+        &mut self,
+        frame: &Ethernet<'_>,
+        (protocol, fields): (Protocol, &Fields<'_>),
+        time: Option<SystemTime>,
+    ) {
+        self.frames[protocol as usize] += 1;
+        self.malformed += u64::from(fields.fault().is_some());
+        let vlan_id = frame.vlan.as_ref().map(Vlan::id);
+        let key = |frame_id| Key { from: frame.from, to: frame.to, frame_id, vlan_id };
+        if let Some((frame_id, status)) = fields.stream() {
+            if let Some(row) = self.row(key(frame_id)) {
+                row.stream.frame(status, time);
+            }
+        } else if let Some((frame_id, kind)) = fields.alarm() {
+            if let Some(row) = self.row(key(frame_id)) {
+                row.stream.frames += 1;
+                row.alarms += u64::from(kind == PduType::Data);
+                row.aborts += u64::from(kind == PduType::Error);
+            }
+        }
+    }
+
+    /// None, and counted, for a stream that has no room.
+    fn row(&mut self, key: Key) -> Option<&mut Row> {
+        let next = self.rows.len();
+        let place = match self.places.get(&key) {
+            Some(&place) => place,
+            None if next < MOST => {
+                self.places.insert(key, next);
+                self.rows.push(Row { key, stream: Stream::default(), alarms: 0, aborts: 0 });
+                next
+            }
+            None => {
+                self.others += 1;
+                return None;
+            }
+        };
+        self.rows.get_mut(place)
+    }
+
+    /// Whether there was a frame.
+    pub(in crate::cli::decode) fn is_empty(&self) -> bool {
+        self.frames.iter().all(|&count| count == 0)
+    }
+
+    /// As it is printed.
+    pub(in crate::cli::decode) fn report(&self) -> ProfinetReport {
+        let mut rows: Vec<_> = self.rows.iter().collect();
+        rows.sort_by_key(|row| row.key);
+        let of = |protocol: Protocol| self.frames[protocol as usize];
+        ProfinetReport {
+            frames: Frames {
+                rt: of(Protocol::ProfinetRt),
+                dcp: of(Protocol::ProfinetDcp),
+                alarm: of(Protocol::ProfinetAlarm),
+                ptcp: of(Protocol::Ptcp),
+                lldp: of(Protocol::Lldp),
+                mrp: of(Protocol::Mrp),
+            },
+            malformed: self.malformed,
+            streams: rows.into_iter().map(StreamReport::of).collect(),
+            frames_of_other_streams: self.others,
+        }
+    }
+}
+
+/// A summary as it is printed.
+#[derive(Debug, Serialize)]
+pub(in crate::cli::decode) struct ProfinetReport {
+    frames: Frames,
+    malformed: u64,
+    streams: Vec<StreamReport>,
+    frames_of_other_streams: u64,
+}
+
+/// By protocol.
+#[derive(Debug, Serialize)]
+struct Frames {
+    rt: u64,
+    dcp: u64,
+    alarm: u64,
+    ptcp: u64,
+    lldp: u64,
+    mrp: u64,
+}
+
+#[derive(Debug, Serialize)]
+struct StreamReport {
+    from: Shown<MacAddress>,
+    to: Option<Shown<MacAddress>>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    vlan_id: Option<u16>,
+    frame_id: u16,
+    frame_id_name: &'static str,
+    frames: u64,
+    /// Of cyclic data: by how much the cycle counter goes on, in units of 31.25 µs.
+    usual_step: Option<u16>,
+    /// Steps that differ from it.
+    gaps: Option<u64>,
+    usual_interval_seconds: Option<f64>,
+    jitter_median_seconds: Option<f64>,
+    jitter_p99_seconds: Option<f64>,
+    data_status_changes: u64,
+    alarms: u64,
+    aborts: u64,
+}
+
+impl StreamReport {
+    fn of(row: &Row) -> Self {
+        let Row { key, stream, alarms, aborts } = row;
+        let (steps, jitter) = (stream.steps(), stream.jitter());
+        Self {
+            from: Shown(key.from),
+            to: key.to.map(Shown),
+            vlan_id: key.vlan_id,
+            frame_id: key.frame_id.0,
+            frame_id_name: key.frame_id.name(),
+            frames: stream.frames,
+            usual_step: steps.map(|(usual, _)| usual),
+            gaps: steps.map(|(_, gaps)| gaps),
+            usual_interval_seconds: jitter.map(|it| it.usual_interval),
+            jitter_median_seconds: jitter.map(|it| it.median),
+            jitter_p99_seconds: jitter.map(|it| it.p99),
+            data_status_changes: stream.status_changes,
+            alarms: *alarms,
+            aborts: *aborts,
+        }
+    }
+
+    fn cells(&self) -> Vec<String> {
+        fn or_dash(value: Option<impl Display>) -> String {
+            value.map_or("–".to_owned(), |value| value.to_string())
+        }
+        vec![
+            self.from.to_string(),
+            or_dash(self.to),
+            format!("${:04X}", self.frame_id),
+            self.frame_id_name.to_owned(),
+            self.frames.to_string(),
+            or_dash(self.usual_step),
+            or_dash(self.gaps),
+            duration(self.usual_interval_seconds),
+            duration(self.jitter_median_seconds),
+            duration(self.jitter_p99_seconds),
+            self.data_status_changes.to_string(),
+            self.alarms.to_string(),
+            self.aborts.to_string(),
+        ]
+    }
+}
+
+impl Display for ProfinetReport {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Frames { rt, dcp, alarm, ptcp, lldp, mrp } = self.frames;
+        writeln!(
+            f,
+            "\nPROFINET frames: RT {rt}, DCP {dcp}, alarms {alarm}, PTCP {ptcp}, LLDP {lldp}, MRP \
+             {mrp}; malformed: {}.",
+            self.malformed
+        )?;
+        if !self.streams.is_empty() {
+            let rows: Vec<_> = self.streams.iter().map(StreamReport::cells).collect();
+            let mut table = table(
+                [
+                    "From",
+                    "To",
+                    "Frame ID",
+                    "Kind",
+                    "Frames",
+                    "Step",
+                    "Gaps",
+                    "Interval",
+                    "Jitter",
+                    "99 %",
+                    "Status changes",
+                    "Alarms",
+                    "Aborts",
+                ],
+                &rows,
+            );
+            // Addresses begin with a figure, and are none.
+            for column in [0, 1] {
+                if let Some(addresses) = table.column_mut(column) {
+                    addresses.set_cell_alignment(CellAlignment::Left);
+                }
+            }
+            writeln!(f, "\n{table}")?;
+        }
+        match self.frames_of_other_streams {
+            0 => Ok(()),
+            others => writeln!(f, "\nFrames of more than {MOST} streams, without a row: {others}."),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;
