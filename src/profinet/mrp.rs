@@ -9,9 +9,6 @@ use super::octets::{Malformed, Octets};
 /// The Ethertype of MRP.
 pub const ETHER_TYPE: u16 = 0x88E3;
 
-/// The octets that stand for PROFIBUS & PROFINET International.
-const PNO: [u8; 3] = [0x00, 0x0E, 0xCF];
-
 /// An MRP frame.
 #[derive(Clone, Copy, Debug)]
 pub struct Mrp<'a> {
@@ -55,7 +52,7 @@ pub enum MrpValue<'a> {
     },
     /// The interconnection manager asks for the state of the line.
     InLinkStatusPoll { source: MacAddress, port_role: u16, interconnection_id: u16 },
-    /// What a manufacturer adds; PROFINET has an automatic choice of the manager there.
+    /// What a manufacturer adds: with any OUI, managers that choose one of them.
     Option { oui: [u8; 3], auto_manager: Option<AutoManager>, octets: &'a [u8] },
     /// Any other TLV.
     Octets(&'a [u8]),
@@ -83,8 +80,7 @@ pub struct Test {
 pub struct AutoManager {
     /// 1: a better manager tells another one to give up; 2: it tells the ring; 3: an automatic manager.
     pub kind: u8,
-    /// The sender's priority and address; the other manager's. None for an automatic manager that names
-    /// nobody.
+    /// The sender's priority and address; the other manager's. An automatic manager names nobody.
     pub ends: Option<[(u16, MacAddress); 2]>,
 }
 
@@ -126,6 +122,11 @@ impl<'a> MrpTlv<'a> {
             return Ok(None);
         }
         let mut value = octets.part(length.into())?;
+        // TLVs begin at multiples of four, counted from the first one. Not every sender pads them.
+        let padding = (2 + usize::from(length)).next_multiple_of(4) - 2 - usize::from(length);
+        if octets.len() > padding && octets.rest().iter().take(padding).all(|&octet| octet == 0) {
+            octets.take(padding)?;
+        }
         Ok(Some(Self { kind, value: MrpValue::read(kind, &mut value)? }))
     }
 
@@ -196,8 +197,11 @@ impl<'a> MrpValue<'a> {
             },
             0x7F => {
                 let oui = octets.array()?;
-                let auto_manager = if oui == PNO { AutoManager::read(*octets)? } else { None };
-                Self::Option { oui, auto_manager, octets: octets.rest() }
+                Self::Option {
+                    oui,
+                    auto_manager: AutoManager::read(*octets),
+                    octets: octets.rest(),
+                }
             }
             _ => Self::Octets(octets.rest()),
         })
@@ -228,30 +232,21 @@ impl Test {
 }
 
 impl AutoManager {
-    /// None where the option has no part of this kind.
-    fn read(mut octets: Octets<'_>) -> Result<Option<Self>, Malformed> {
+    /// None where the option has no part of this kind: a manufacturer may put anything there.
+    fn read(mut octets: Octets<'_>) -> Option<Self> {
         // What the first edition of the standard left to manufacturers comes first.
-        let manufacturer = match octets.u8()? {
-            0 => 2,
-            4 => 2 + 26,
-            _ => return Ok(None),
-        };
-        if octets.take(manufacturer).is_err() || octets.is_empty() {
-            return Ok(None);
+        if let 0 | 4 = octets.u8().ok()? {
+            octets.take(2).ok()?;
         }
-        let kind = octets.u8()?;
-        let length = octets.u8()?;
-        let mut part = octets.part(length.into())?;
-        if !(1..=3).contains(&kind) {
-            return Ok(None);
+        let kind = octets.u8().ok()?;
+        let length = octets.u8().ok()?;
+        let mut part = octets.part(length.into()).ok()?;
+        let mut end = || Some((part.u16().ok()?, address(&mut part).ok()?));
+        match kind {
+            1 | 2 => Some(Self { kind, ends: Some([end()?, end()?]) }),
+            3 => Some(Self { kind, ends: None }),
+            _ => None,
         }
-        let ends = if part.len() >= 16 {
-            let mut end = || Ok((part.u16()?, address(&mut part)?));
-            Some([end()?, end()?])
-        } else {
-            None
-        };
-        Ok(Some(Self { kind, ends }))
     }
 
     /// Its name in the standard.

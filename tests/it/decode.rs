@@ -39,7 +39,7 @@ fn a_request_as_hex_text_has_all_its_fields_but_the_password() {
     let (code, stdout, stderr) = ended(&file, &["--format", "json"]);
     assert_eq!((code, &stderr[..]), (Some(0), ""));
     let right = json!({
-        "line": 2, "length": 25, "header": "02000000", "route": "0b040502218b839f",
+        "line": 2, "protocol": "p-net", "length": 25, "header": "02000000", "route": "0b040502218b839f",
         "route_format": "ip", "remaining_route_length": 5,
         "destinations": [11, 4, 2, 33], "sources": [11, 3, 31],
         "ip_net_id": 11, "node_address": 4, "source_ip_net_id": 11, "source_node_address": 3,

@@ -217,7 +217,7 @@ fn every_field_is_that_of_decode() {
     assert_eq!(packets.len(), datagrams.len() + rows.len() + 1);
     let in_rows = packets.iter().filter(|packet| packet.len() > 1).count();
     assert!(in_rows > 10 && rows.len() - in_rows > 10, "{in_rows} of {}", rows.len());
-    let places = ["packet", "time", "from", "to"];
+    let places = ["packet", "frame", "time", "from", "to", "protocol"];
     let names = decoded.iter().flat_map(Map::keys).map(String::as_str);
     let names: BTreeSet<_> = names.filter(|name| !places.contains(name)).collect();
     assert_eq!(fields, names);

@@ -51,6 +51,9 @@ fn p_12_changes_of_the_ring() {
         let (port_role, interval, blocked) = (0, 20, 1);
         let change = MrpValue::LinkChange { is_up, source: SOURCE, port_role, interval, blocked };
         assert_eq!(read(&octets), (change, name, Some("client (MRC)")));
+        // Padded to a multiple of four.
+        let octets = frame(&[tlv(kind, &[], &[0, 0, 0, 20, 0, 1]), vec![0, 0]].concat());
+        assert_eq!(read(&octets).0, change);
     }
 }
 
@@ -82,28 +85,29 @@ fn p_12_frames_of_an_interconnection() {
 #[test]
 fn p_12_managers_choose_one_of_them() {
     let ends = [&[0x80, 0][..], &SOURCE.0, &[0xF0, 0], &OTHER.0].concat();
-    for (kind, name) in [(1, "MRP_TestMgrNAck"), (2, "MRP_TestPropagate"), (3, "MRP_AutoMgr")] {
-        let value = [&[0, 0x0E, 0xCF, 0, 0, 0, kind, 16][..], &ends].concat();
-        let octets = frame(&[&[0x7F, value.len() as u8][..], &value].concat());
-        let (value, option, _) = read(&octets);
-        let MrpValue::Option { auto_manager: Some(auto_manager), .. } = value else {
-            panic!("{value:?}")
-        };
-        assert_eq!((option, auto_manager.name()), ("MRP_Option", name));
-        assert_eq!(auto_manager.ends, Some([(0x8000, SOURCE), (0xF000, OTHER)]));
+    for (kind, name) in [(1, "MRP_TestMgrNAck"), (2, "MRP_TestPropagate")] {
+        // Data of the first edition, of two octets; and none.
+        for front in [&[8, 0, 6, 0, 0, 0][..], &[8, 0, 6, 4, 9, 9], &[0, 0x0E, 0xCF, 1]] {
+            let value = [front, &[kind, 16], &ends].concat();
+            let octets = frame(&[&[0x7F, value.len() as u8][..], &value].concat());
+            let (value, option, _) = read(&octets);
+            let MrpValue::Option { auto_manager: Some(auto_manager), .. } = value else {
+                panic!("{value:?}")
+            };
+            assert_eq!((option, auto_manager.name()), ("MRP_Option", name));
+            assert_eq!(auto_manager.ends, Some([(0x8000, SOURCE), (0xF000, OTHER)]));
+        }
     }
-    // An automatic manager names nobody, and another manufacturer's octets stay octets.
-    let octets = frame(&[0x7F, 8, 0, 0x0E, 0xCF, 0, 0, 0, 3, 0]);
-    let (value, ..) = read(&octets);
+    let octets = frame(&[0x7F, 8, 8, 0, 6, 0, 0, 0, 3, 0]);
     let auto_manager = Some(AutoManager { kind: 3, ends: None });
-    assert_eq!(
-        value,
-        MrpValue::Option { oui: PNO, auto_manager, octets: &[0, 0, 0, 3, 0] },
-        "{value:?}"
-    );
-    let octets = frame(&[0x7F, 4, 8, 0, 6, 1]);
-    let option = MrpValue::Option { oui: [8, 0, 6], auto_manager: None, octets: &[1] };
+    let option = MrpValue::Option { oui: [8, 0, 6], auto_manager, octets: &[0, 0, 0, 3, 0] };
     assert_eq!(read(&octets).0, option);
+    // Whatever else a manufacturer writes stays octets.
+    for octets in [&[1][..], &[0, 0, 0], &[0, 0, 0, 1, 9, 0], &[1, 0xF1, 1, 7]] {
+        let tlv = [&[0x7F, octets.len() as u8 + 3, 8, 0, 6][..], octets].concat();
+        let option = MrpValue::Option { oui: [8, 0, 6], auto_manager: None, octets };
+        assert_eq!(read(&frame(&tlv)).0, option);
+    }
 }
 
 #[test]

@@ -104,11 +104,11 @@ impl Arrivals {
         }
         self.first.push(interval);
         if self.first.is_full() {
-            self.after = self.from_first();
+            self.after = self.measured();
         }
     }
 
-    fn from_first(&self) -> Option<(u64, Box<Histogram>)> {
+    fn measured(&self) -> Option<(u64, Box<Histogram>)> {
         let mut first = self.first.clone();
         first.sort_unstable();
         let usual = *first.get(first.len() / 2)?;
@@ -118,7 +118,7 @@ impl Arrivals {
     }
 
     fn jitter(&self) -> Option<Jitter> {
-        let fresh = if self.after.is_none() { self.from_first() } else { None };
+        let fresh = if self.after.is_none() { self.measured() } else { None };
         let (usual, histogram) = self.after.as_ref().or(fresh.as_ref())?;
         let seconds = |nanoseconds: u64| nanoseconds as f64 / 1e9;
         Some(Jitter {

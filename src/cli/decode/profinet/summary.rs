@@ -66,16 +66,17 @@ impl ProfinetSummary {
         self.malformed += u64::from(fields.fault().is_some());
         let vlan_id = frame.vlan.as_ref().map(Vlan::id);
         let key = |frame_id| Key { from: frame.from, to: frame.to, frame_id, vlan_id };
-        if let Some((frame_id, status)) = fields.stream() {
-            if let Some(row) = self.row(key(frame_id)) {
-                row.stream.frame(status, time);
-            }
-        } else if let Some((frame_id, kind)) = fields.alarm() {
-            if let Some(row) = self.row(key(frame_id)) {
-                row.stream.frames += 1;
-                row.alarms += u64::from(kind == PduType::Data);
-                row.aborts += u64::from(kind == PduType::Error);
-            }
+        if let Some((frame_id, status)) = fields.stream()
+            && let Some(row) = self.row(key(frame_id))
+        {
+            row.stream.frame(status, time);
+        }
+        if let Some((frame_id, kind)) = fields.alarm()
+            && let Some(row) = self.row(key(frame_id))
+        {
+            row.stream.frames += 1;
+            row.alarms += u64::from(kind == PduType::Data);
+            row.aborts += u64::from(kind == PduType::Error);
         }
     }
 
