@@ -6,6 +6,7 @@
 
 mod browser;
 mod capture;
+mod io_device;
 mod machine;
 mod metrics;
 mod network;
@@ -23,6 +24,7 @@ use std::time::{Duration, Instant};
 
 pub use browser::Browser;
 pub use capture::{Capture, Packet};
+pub use io_device::{DEVICE_ID, IDENTIFICATION, IoDevice, PNIO_PORT, Received};
 pub use machine::Machine;
 pub use metrics::Metrics;
 pub use network::{Namespace, Network};
