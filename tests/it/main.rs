@@ -30,6 +30,7 @@ mod moving;
 mod namespaces;
 mod nat;
 mod package;
+mod profinet;
 mod profinet_judge;
 mod prometheus;
 mod relaying;

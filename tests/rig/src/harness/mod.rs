@@ -13,6 +13,7 @@ mod network;
 mod octets;
 mod pcap;
 mod process;
+mod profinet;
 mod relay;
 mod site;
 mod somebody;
@@ -33,6 +34,7 @@ pub use octets::{
 };
 pub use pcap::{frame, header, pcap, udp};
 pub use process::{Process, pnet_nat, pnet_nat_within};
+pub use profinet::{has_profinet_peers, profinet_peer};
 pub use relay::{ANNOTATED, Place, Relay, Settings, folder};
 pub use site::{Peer, Site, close, exchange};
 pub use somebody::Somebody;
