@@ -351,6 +351,8 @@ class Server:
             return filter_data(0x30, MODULES[:3]) + filter_data(0x32, MODULES[:1])
         if request.index == 0xF000:  # RealIdentificationData for one API
             return filter_data(0x13, MODULES)
+        if request.index == 0x802A and place == (0, 0x8001):
+            return port_data(*place)
         if submodule is None:
             return None
         if request.index == 0xAFF0:
@@ -411,6 +413,22 @@ def filter_data(block_type, modules):
     # RealIdentificationData with APIs is version 1.1.
     version = [1, 1] if block_type == 0x13 else [1, 0]
     return number(block_type, 2, False) + number(len(body) + 2, 2, False) + bytes(version) + body
+
+
+def port_data(slot, subslot):
+    """PDPortDataReal: the port's name, one neighbour, an idle copper line."""
+
+    def text(octets):
+        return number(len(octets), 1, False) + octets
+
+    def aligned(octets):
+        return octets + bytes(-(len(octets) + 6) % 4)
+
+    body = aligned(b"") + number(slot, 2, False) + number(subslot, 2, False) + text(b"port-001") + b"\1"
+    body = aligned(aligned(body) + text(b"port-002") + text(b"press-3.line-1"))
+    body = aligned(body + number(0, 4, False) + bytes.fromhex("020000000009"))
+    body = aligned(body + number(16, 2, False)) + bytes(8) + bytes([0, 1, 0, 0]) + number(1, 4, False)
+    return number(0x020F, 2, False) + number(len(body) + 2, 2, False) + bytes([1, 0]) + body
 
 
 def main():
