@@ -9,6 +9,7 @@ mod decode;
 mod demo;
 mod documentation;
 mod healthcheck;
+mod inventory;
 mod node;
 mod output;
 mod progress;
@@ -78,6 +79,7 @@ enum Command {
     Request(request::Args),
     Translate(translate::Args),
     Decode(decode::Args),
+    Inventory(inventory::Args),
     Status(status::Args),
     Reload(reload::Args),
     Healthcheck(healthcheck::Args),
@@ -117,6 +119,7 @@ pub fn main() -> ExitCode {
         Command::Request(args) => request::run(args),
         Command::Translate(args) => translate::run(&args),
         Command::Decode(args) => decode::run(args),
+        Command::Inventory(args) => inventory::run(&args),
         Command::Status(args) => status::run(args),
         Command::Reload(args) => reload::run(&args),
         Command::Healthcheck(args) => healthcheck::run(args),

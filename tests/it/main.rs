@@ -23,6 +23,7 @@ mod faults;
 mod figure_11;
 mod floods;
 mod forged;
+mod inventory;
 mod killed;
 mod kubernetes;
 mod loops;

@@ -19,11 +19,13 @@ mod ports;
 mod profinet;
 mod progress;
 mod row;
+mod seen;
 mod settings;
 mod stop;
 mod summary;
 
 pub(super) use hex::octets;
+pub(super) use seen::{Seen, read_capture};
 
 use std::cell::RefCell;
 use std::io::{BufRead, BufReader, BufWriter, Cursor, Read, Write};

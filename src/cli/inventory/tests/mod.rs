@@ -1,0 +1,234 @@
+//! The asking of devices, against devices that are written by hand: who is believed, when is sent, and
+//! what comes of silence.
+
+mod device;
+
+use std::collections::BTreeSet;
+use std::net::SocketAddrV4;
+use std::time::{Duration, Instant};
+
+use proptest::prelude::*;
+
+use super::device::Device;
+use super::print::{Format, print};
+use super::scan::{Pace, Scan};
+use crate::profinet::rpc::{Interface, PacketType, Rpc};
+use crate::profinet::{ByteOrder, Uuid};
+use device::{Datagram, FakeDevice, IM0};
+
+const PACE: Pace =
+    Pace { interval: Duration::from_millis(10), timeout: Duration::from_secs(1), retries: 1 };
+
+fn at(text: &str) -> SocketAddrV4 {
+    text.parse().unwrap()
+}
+
+fn scan(targets: &[&str], now: Instant) -> Scan<impl FnMut() -> Uuid> {
+    let targets: BTreeSet<_> = targets.iter().map(|target| at(target)).collect();
+    let mut number = 0;
+    Scan::new(targets, PACE, now, move || {
+        number += 1;
+        Uuid::new(number)
+    })
+}
+
+/// What went over the wire, and when.
+struct Log {
+    sent: Vec<(Instant, SocketAddrV4, Datagram)>,
+    devices: Vec<Device>,
+}
+
+/// Runs a scan to its end. Answers arrive at once; without any, time goes on.
+fn run(
+    mut scan: Scan<impl FnMut() -> Uuid>,
+    start: Instant,
+    mut answer: impl FnMut(SocketAddrV4, &[u8]) -> Vec<(SocketAddrV4, Datagram)>,
+) -> Log {
+    let (mut now, mut sent) = (start, Vec::new());
+    while !scan.is_over() {
+        let mut buffer = [0; 256];
+        while let Some((to, length)) = scan.transmit(now, &mut buffer) {
+            sent.push((now, to, buffer[..length].to_vec()));
+            for (from, octets) in answer(to, &buffer[..length]) {
+                scan.receive(now, from, &octets);
+            }
+        }
+        assert!(sent.len() < 10_000, "it goes on for ever");
+        if let Some(due) = scan.next_timeout() {
+            now = now.max(due);
+            scan.handle_timeout(now);
+        }
+    }
+    Log { sent, devices: scan.into_devices() }
+}
+
+/// Of one device, which answers from this port.
+fn found(mut fake: FakeDevice, from: &str) -> Log {
+    let start = Instant::now();
+    run(scan(&["172.17.17.7:34964"], start), start, |to, octets| {
+        fake.answer(to, octets).into_iter().map(|answer| (at(from), answer)).collect()
+    })
+}
+
+fn printed(devices: &[Device], format: Format) -> String {
+    let mut out = Vec::new();
+    print(devices, format, &mut out).unwrap();
+    String::from_utf8(out).unwrap()
+}
+
+/// P-4, P-5: from whatever port and in whatever byte order.
+#[test]
+fn p_4_a_device_may_answer_from_any_port_and_in_its_own_byte_order() {
+    for (from, order) in [
+        ("172.17.17.7:34964", ByteOrder::Big),
+        ("172.17.17.7:9001", ByteOrder::Little),
+        ("172.17.17.7:49200", ByteOrder::Big),
+    ] {
+        let log = found(FakeDevice { order, ..FakeDevice::default() }, from);
+        let [device] = &log.devices[..] else { panic!("{:?}", log.devices) };
+        assert_eq!(device.answered_from, Some(at(from).port()));
+        assert_eq!((device.vendor_id, device.device_id), (Some(0x1F2E), Some(0x42)));
+        let submodule = &device.submodules[0];
+        assert_eq!(submodule.product.order_id.as_deref(), Some("VALVE 7"));
+        assert_eq!(submodule.product.software_revision.as_deref(), Some("V1.2.3"));
+        assert_eq!(submodule.function.as_deref(), Some("steam"));
+        assert_eq!(submodule.descriptor, None, "it does not say that it has I&M3");
+        assert!(log.sent.iter().all(|(_, to, _)| *to == at("172.17.17.7:34964")));
+    }
+}
+
+#[test]
+fn somebody_else_another_activity_or_another_sequence_is_no_answer() {
+    let log = found(FakeDevice::default(), "172.17.17.8:34964");
+    assert!(log.devices.is_empty());
+    // Activity UUID, sequence number, as they stand in the header.
+    for octet in [40, 67] {
+        let fake = FakeDevice { changed: Some(octet), ..FakeDevice::default() };
+        assert!(found(fake, "172.17.17.7:34964").devices.is_empty(), "{octet}");
+    }
+}
+
+/// Nothing but look-ups and Read Implicit leaves, and each activity counts from 0.
+#[test]
+fn nothing_is_ever_written() {
+    let log = found(FakeDevice { fragment: 40, ..FakeDevice::default() }, "172.17.17.7:9001");
+    let mut expected = (Uuid::NIL, 0);
+    let mut facks = 0;
+    for (_, _, octets) in &log.sent {
+        let rpc = Rpc::parse(octets).unwrap();
+        let header = rpc.header();
+        if header.packet_type == PacketType::Fack {
+            facks += 1;
+            continue;
+        }
+        let call = (Interface::of(header.interface), header.operation);
+        let calls = [(Some(Interface::EndpointMapper), 2), (Some(Interface::Device), 5)];
+        assert!(header.packet_type == PacketType::Request && calls.contains(&call), "{header:?}");
+        let next = if header.activity == expected.0 { expected.1 + 1 } else { 0 };
+        assert_eq!(header.sequence, next);
+        expected = (header.activity, next);
+    }
+    assert!(facks > 5, "{facks}");
+    assert_eq!(log.devices[0].submodules[0].product.order_id.as_deref(), Some("VALVE 7"));
+}
+
+#[test]
+fn a_device_that_has_another_port_in_its_mapper_is_asked_there_when_it_refuses() {
+    let fake = FakeDevice { port: 49201, ..FakeDevice::default() };
+    let log = found(fake, "172.17.17.7:49201");
+    let ports: Vec<_> = log.sent.iter().map(|(_, to, _)| to.port()).collect();
+    assert_eq!(ports[..4], [34964, 34964, 34964, 49201]);
+    assert_eq!(log.devices[0].submodules[0].product.order_id.as_deref(), Some("VALVE 7"));
+    assert_eq!(log.devices[0].error, None);
+}
+
+#[test]
+fn a_device_without_mapper_and_filter_data_tells_slot_0_alone() {
+    let fake = FakeDevice { has_mapper: false, has_filter_data: false, ..FakeDevice::default() };
+    let log = found(fake, "172.17.17.7:34964");
+    let [device] = &log.devices[..] else { panic!("{:?}", log.devices) };
+    assert_eq!((device.device_id, device.submodules.len()), (None, 1));
+    assert_eq!((device.submodules[0].slot, device.submodules[0].subslot), (0, 1));
+}
+
+#[test]
+fn a_device_without_i_and_m_is_listed_with_the_reason() {
+    let fake = FakeDevice { has_im: false, has_filter_data: false, ..FakeDevice::default() };
+    let log = found(fake, "172.17.17.7:34964");
+    let text = printed(&log.devices, Format::Text);
+    assert!(text.contains("172.17.17.7: Read failed: invalid index"), "{text}");
+}
+
+/// Nobody is there: each question is sent as often as the pace says, and never faster.
+#[test]
+fn requests_keep_their_distance_and_end() {
+    let start = Instant::now();
+    let targets: Vec<_> = (1..=100).map(|host| format!("172.17.17.{host}:34964")).collect();
+    let targets: Vec<_> = targets.iter().map(String::as_str).collect();
+    let log = run(scan(&targets, start), start, |_, _| Vec::new());
+    assert!(log.devices.is_empty());
+    // Two questions, each sent twice.
+    assert_eq!(log.sent.len(), 100 * 2 * 2);
+    for pair in log.sent.windows(2) {
+        assert!(pair[1].0 - pair[0].0 >= PACE.interval);
+    }
+}
+
+/// A device that never ends its answer is given up.
+#[test]
+fn a_device_that_is_always_at_work_is_given_up() {
+    let fake = FakeDevice { is_working: true, ..FakeDevice::default() };
+    assert!(found(fake, "172.17.17.7:34964").devices.is_empty());
+}
+
+#[test]
+fn csv_has_no_formula_and_one_line_a_submodule() {
+    let fake = FakeDevice { order_id: *b"=cmd,\"x\"\x1b[2J        ", ..FakeDevice::default() };
+    let log = found(fake, "172.17.17.7:34964");
+    let csv = printed(&log.devices, Format::Csv);
+    let lines: Vec<_> = csv.split("\r\n").collect();
+    assert_eq!(lines.len(), 3, "a heading, a submodule, the end: {csv}");
+    assert!(lines[1].contains(",\"'=cmd,\"\"x\"\"\u{FFFD}[2J\","), "{csv}");
+    assert_eq!(lines[0].split(',').next(), Some("address"));
+    let text = printed(&log.devices, Format::Text);
+    assert!(!text.contains('\x1b') && text.contains("0x1f2e"), "{text}");
+    let json: serde_json::Value =
+        serde_json::from_str(&printed(&log.devices, Format::Json)).unwrap();
+    assert_eq!(json["submodules"][0]["hardware_revision"], 3);
+    assert_eq!(json["asked"], "172.17.17.7:34964");
+}
+
+proptest! {
+    /// Whatever a device sends, the scan comes to its end, and what it keeps can be printed.
+    #[test]
+    fn no_octets_bring_it_down(
+        changes in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..6),
+        fragment in 0_usize..80,
+        at_call in 0_usize..12,
+    ) {
+        let start = Instant::now();
+        let mut fake = FakeDevice { fragment, ..FakeDevice::default() };
+        let mut call = 0;
+        let log = run(scan(&["172.17.17.7:34964"], start), start, |to, octets| {
+            let mut answers = fake.answer(to, octets);
+            call += 1;
+            if call >= at_call {
+                for answer in &mut answers {
+                    for (place, value) in &changes {
+                        let place = place.index(answer.len());
+                        answer[place] = *value;
+                    }
+                }
+            }
+            answers.into_iter().map(|answer| (to, answer)).collect()
+        });
+        for format in [Format::Text, Format::Csv, Format::Json] {
+            printed(&log.devices, format);
+        }
+    }
+}
+
+#[test]
+fn the_fake_device_is_right_about_i_and_m0() {
+    assert_eq!(IM0.len(), 60);
+}
