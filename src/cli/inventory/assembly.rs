@@ -22,7 +22,9 @@ pub(super) enum Added {
     Whole,
     /// There is more to come.
     Waits,
-    /// It was not the one that is wanted, or too long.
+    /// It has come before: its acknowledgement was lost.
+    Known,
+    /// It is not the one that is wanted, or too long.
     Ignored,
 }
 
@@ -32,8 +34,11 @@ impl Assembly {
         let (header, Body::Stub(stub)) = (rpc.header(), rpc.body()) else { return Added::Ignored };
         let is_fragment = header.flags1.is_fragment();
         let order = header.representation.order;
-        if header.fragment_number == 0 {
-            *self = Self { order, ..Self::default() };
+        if header.fragment_number < self.next {
+            return Added::Known;
+        }
+        if self.next == 0 {
+            self.order = order;
         }
         let is_wanted = header.fragment_number == self.next && order == self.order;
         if !is_wanted || self.octets.len() + stub.len() > LONGEST {

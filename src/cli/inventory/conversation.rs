@@ -7,7 +7,7 @@
 use std::net::SocketAddrV4;
 
 use super::assembly::{Added, Assembly};
-use super::device::{Device, text};
+use super::device::{Device, Submodule, text};
 use super::identification;
 use crate::profinet::endpoint_mapper::{Handle, InterfaceId, Lookup, LookupAnswer};
 use crate::profinet::records::{IM0, IM0_FILTER_DATA};
@@ -30,7 +30,7 @@ const FIRST_PORT: u16 = 0x8001;
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Question {
     Endpoints { handle: Handle },
-    Record { slot: u16, subslot: u16, index: u16 },
+    Record { api: u32, slot: u16, subslot: u16, index: u16 },
 }
 
 /// A device that is being asked.
@@ -109,12 +109,12 @@ impl Conversation {
                 ..Lookup::next_of_all(handle)
             }
             .emit(ByteOrder::Little, activity, sequence, buffer),
-            Question::Record { slot, subslot, index } => ReadImplicit {
+            Question::Record { api, slot, subslot, index } => ReadImplicit {
                 order: ByteOrder::Big,
                 object: self.object,
                 activity,
                 sequence,
-                api: 0,
+                api,
                 slot,
                 subslot,
                 index,
@@ -149,7 +149,7 @@ impl Conversation {
         let wants_fack = header.flags1.is_fragment() && !header.flags1.is_no_fack();
         match self.answer.add(rpc) {
             Added::Ignored => Came::Nothing,
-            Added::Waits => Came::MoreToCome { wants_fack },
+            Added::Known | Added::Waits => Came::MoreToCome { wants_fack },
             Added::Whole => {
                 self.has_come(from);
                 self.answered();
@@ -204,7 +204,7 @@ impl Conversation {
 
     fn begin_reading(&mut self) {
         self.begin_activity();
-        self.question = Question::Record { slot: 0, subslot: 0, index: IM0_FILTER_DATA };
+        self.question = Question::Record { api: 0, slot: 0, subslot: 1, index: IM0_FILTER_DATA };
     }
 
     /// The next activity. The last one is kept.
@@ -218,7 +218,7 @@ impl Conversation {
 
     /// The answer to a read. Otherwise says why it is none.
     fn record(&mut self, stub: Octets<'_>) -> Result<(), String> {
-        let Question::Record { slot, subslot, index } = self.question else { return Ok(()) };
+        let Question::Record { api, slot, subslot, index } = self.question else { return Ok(()) };
         let response =
             ndr::Response::read(stub).map_err(|error| format!("malformed answer: {error}"))?;
         if !response.status.is_ok() {
@@ -236,12 +236,16 @@ impl Conversation {
             IM0 => {
                 let supported = identification::supported(&record);
                 let further = (1..=5).rev().filter(|number| supported & 1 << number != 0);
-                let further =
-                    further.map(|number| Question::Record { slot, subslot, index: IM0 + number });
+                let further = further.map(|number| Question::Record {
+                    api,
+                    slot,
+                    subslot,
+                    index: IM0 + number,
+                });
                 self.further.extend(further);
             }
             PORT_DATA if subslot < LAST_PORT => {
-                self.further.push(Question::Record { slot, subslot: subslot + 1, index });
+                self.further.push(Question::Record { api, slot, subslot: subslot + 1, index });
             }
             _ => {}
         }
@@ -251,18 +255,14 @@ impl Conversation {
 
     /// Plans I&M0 of each submodule that the filter data name, and the neighbours behind that.
     fn ask_each_submodule(&mut self) {
-        self.further.push(Question::Record { slot: 0, subslot: FIRST_PORT, index: PORT_DATA });
-        let places: Vec<_> = self
-            .device
-            .submodules
-            .iter()
-            .map(|submodule| (submodule.slot, submodule.subslot))
-            .collect();
-        let places = if places.is_empty() { vec![(0, 1)] } else { places };
-        let questions = places.into_iter().rev().map(|(slot, subslot)| Question::Record {
-            slot,
-            subslot,
-            index: IM0,
+        let index = PORT_DATA;
+        self.further.push(Question::Record { api: 0, slot: 0, subslot: FIRST_PORT, index });
+        if self.device.submodules.is_empty() {
+            self.further.push(Question::Record { api: 0, slot: 0, subslot: 1, index: IM0 });
+        }
+        let questions = self.device.submodules.iter().rev().map(|submodule| {
+            let Submodule { api, slot, subslot, .. } = *submodule;
+            Question::Record { api, slot, subslot, index: IM0 }
         });
         self.further.extend(questions);
     }

@@ -36,6 +36,8 @@ pub(super) struct Device {
 /// A slot and subslot, and the I&M there.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub(super) struct Submodule {
+    /// The application process: 0, or that of a profile.
+    pub(super) api: u32,
     pub(super) slot: u16,
     pub(super) subslot: u16,
     pub(super) module_ident: Option<u32>,

@@ -4,7 +4,7 @@ use super::device::{Device, MOST_PARTS, Neighbour, Part, Product, Submodule, tex
 use crate::cli::output::Hex;
 use crate::profinet::Octets;
 use crate::profinet::blocks::{
-    Block, Blocks, Contents, IdentifiedSlot, Im0, Im5Data, PdPortDataReal, Record,
+    Block, Blocks, Contents, IdentifiedSubslot, Im0, Im5Data, PdPortDataReal, Record,
 };
 
 /// RealIdentificationData; 0x0012 looks the same, and says what is expected.
@@ -51,23 +51,25 @@ pub(super) fn supported(record: &ReadRecord<'_>) -> u16 {
 fn note_block(device: &mut Device, place: (u16, u16), block: &Block<'_>) {
     match block.contents() {
         Ok(Contents::FilterData(data)) => {
-            let modules = data.apis.iter().flat_map(|api| api.modules.iter());
-            for module in modules {
-                for submodule in module.submodules.iter() {
-                    let places = (module.slot, submodule.subslot);
-                    let numbers = (module.module_ident_number, submodule.submodule_ident_number);
-                    idents(device, places, numbers);
+            for api in data.apis.iter() {
+                for module in api.modules.iter() {
+                    let ident = module.module_ident_number;
+                    plugged(device, (api.api, module.slot, ident), module.submodules.iter());
                 }
             }
         }
         Ok(Contents::RealIdentificationData(data)) if block.block_type == REAL_IDENTIFICATION => {
-            data.apis
-                .iter()
-                .flat_map(|api| api.slots.iter())
-                .for_each(|slot| plugged(device, &slot));
+            for api in data.apis.iter() {
+                for slot in api.slots.iter() {
+                    let ident = slot.module_ident_number;
+                    plugged(device, (api.api, slot.slot, ident), slot.subslots.iter());
+                }
+            }
         }
         Ok(Contents::RealIdentificationSlots(data)) if block.block_type == REAL_IDENTIFICATION => {
-            data.slots.iter().for_each(|slot| plugged(device, &slot));
+            for slot in data.slots.iter() {
+                plugged(device, (0, slot.slot, slot.module_ident_number), slot.subslots.iter());
+            }
         }
         Ok(Contents::PdPortDataReal(port)) => neighbours(device, &port),
         // Blocks inside blocks: only ports are looked for there.
@@ -87,17 +89,18 @@ fn note_block(device: &mut Device, place: (u16, u16), block: &Block<'_>) {
     }
 }
 
-fn plugged(device: &mut Device, slot: &IdentifiedSlot<'_>) {
-    for submodule in slot.subslots.iter() {
-        let numbers = (slot.module_ident_number, submodule.submodule_ident_number);
-        idents(device, (slot.slot, submodule.subslot), numbers);
-    }
-}
-
-fn idents(device: &mut Device, place: (u16, u16), numbers: (u32, u32)) {
-    if let Some(submodule) = device.submodule(place.0, place.1) {
-        submodule.module_ident = Some(numbers.0);
-        submodule.submodule_ident = Some(numbers.1);
+/// A module (application process, slot, number) and its submodules.
+fn plugged(
+    device: &mut Device,
+    (api, slot, module): (u32, u16, u32),
+    submodules: impl Iterator<Item = IdentifiedSubslot>,
+) {
+    for IdentifiedSubslot { subslot, submodule_ident_number } in submodules {
+        if let Some(submodule) = device.submodule(slot, subslot) {
+            submodule.api = api;
+            submodule.module_ident = Some(module);
+            submodule.submodule_ident = Some(submodule_ident_number);
+        }
     }
 }
 

@@ -62,7 +62,7 @@ impl Passive {
             open.and_then(|at| self.answers.remove(at)).map_or_else(Assembly::default, |it| it.1);
         match answer.add(rpc) {
             Added::Ignored if open.is_none() => {}
-            Added::Ignored | Added::Waits => {
+            Added::Ignored | Added::Known | Added::Waits => {
                 if self.answers.len() == MOST_ANSWERS {
                     self.answers.pop_front();
                 }

@@ -39,6 +39,7 @@ const COLUMNS: &[Column] = &[
         hex(submodule.and_then(|submodule| submodule.product.vendor_id).or(device.vendor_id))
     }),
     column!("device_id", Some("Device"), |device, _| hex(device.device_id)),
+    column!("api", None, |_, submodule| Some(submodule?.api.to_string())),
     column!("slot", Some("Slot"), |_, submodule| Some(submodule?.slot.to_string())),
     column!("subslot", Some("Subslot"), |_, submodule| Some(subslot(submodule?.subslot))),
     column!("module_ident", None, |_, submodule| ident(submodule?.module_ident)),

@@ -282,6 +282,36 @@ fn a_controller_reads_the_identification_and_does_nothing_else() {
     assert_eq!(log.len(), 4);
 }
 
+/// The device's log would show it: a Connect arrives, and is refused by the device itself.
+#[test]
+fn what_a_controller_should_not_send_is_in_the_log() {
+    if !can_run() {
+        return;
+    }
+    let Some(network) = Network::build() else { return };
+    let device = network.plant.enter(|| IoDevice::start(DEVICE.into(), PNIO_PORT).unwrap());
+    let printed = Controller::ProfinetPy("--connect").run(Through::Direct, &network, true);
+    assert!(printed["problems"].to_string().contains("rejected by device"), "{printed}");
+    let log: Vec<_> = device.received().iter().map(|datagram| datagram.log()).collect();
+    assert_eq!(log.len(), 1);
+    assert_eq!((&log[0]["kind"], &log[0]["opnum"]), (&"request".into(), &0.into()));
+}
+
+/// Some endpoint mappers look at the sequence number: one that does not begin at 0 has no answer.
+#[test]
+fn a_mapper_that_counts_is_silent_when_a_look_up_does_not_begin_at_0() {
+    if !can_run() {
+        return;
+    }
+    let Some(network) = Network::build() else { return };
+    let _device = Device::Scapy("--answer-from 34964 --mapper").start(&network);
+    for (arguments, outcome) in [("--from-sequence 5", NoAnswer), ("", Works)] {
+        let lookup = Controller::Scapy("lookup", arguments);
+        let printed = lookup.run(Through::Direct, &network, outcome != NoAnswer);
+        assert_eq!(Outcome::of(&printed), Some(outcome), "{printed}");
+    }
+}
+
 /// The router has no flow for an answer from another port: it takes it for itself and refuses it.
 #[test]
 fn with_masquerade_the_router_refuses_an_answer_from_another_port() {

@@ -9,11 +9,13 @@ use crate::profinet::{ByteOrder, ObjectUuid};
 pub(super) type Datagram = Vec<u8>;
 
 /// I&M0: vendor 0x1F2E, hardware 3, V1.2.3, I&M1 too. The order ID is filled in.
-pub(super) const IM0: [u8; 60] =
+const IM0: [u8; 60] =
     *b"\x00\x20\x00\x38\x01\x00\x1f\x2e                    SN 0815         \x00\x03V\x01\x02\x03\
        \x00\x00\x00\x00\x00\x00\x01\x01\x00\x02";
-const FILTER_DATA: &[u8] = b"\x00\x30\x00\x18\x01\x00\x00\x01\x00\x00\x00\x00\x00\x01\x00\x00\
-    \x00\x00\x00\x01\x00\x01\x00\x01\x00\x00\x00\x02";
+/// Slot 0 of API 0, and slot 2 of API 0x3A00, each with subslot 1.
+const FILTER_DATA: &[u8] = b"\x00\x30\x00\x2C\x01\x00\x00\x02\
+    \x00\x00\x00\x00\x00\x01\x00\x00\x00\x00\x00\x01\x00\x01\x00\x01\x00\x00\x00\x02\
+    \x00\x00\x3A\x00\x00\x01\x00\x02\x00\x00\x00\x03\x00\x01\x00\x01\x00\x00\x00\x04";
 /// Interface, NDR, connectionless, UDP port, IP address.
 const TOWER: &[u8] =
     b"\x05\x00\x13\x00\x0d\x01\x00\xa0\xde\x97\x6c\xd1\x11\x82\x71\x00\xa0\x24\x42\
@@ -91,14 +93,14 @@ impl FakeDevice {
     }
 
     fn record(&self, read: &ReadImplicit) -> Option<Vec<u8>> {
-        match (read.index, read.slot, read.subslot) {
+        match (read.index, read.api, read.slot, read.subslot) {
             (0xF840, ..) => self.has_filter_data.then(|| FILTER_DATA.to_vec()),
-            (0xAFF0, 0, 1) => self.has_im.then(|| {
+            (0xAFF0, 0, 0, 1) | (0xAFF0, 0x3A00, 2, 1) => self.has_im.then(|| {
                 let mut im0 = IM0.to_vec();
                 im0[8..28].copy_from_slice(&self.order_id);
                 im0
             }),
-            (0xAFF1, 0, 1) => {
+            (0xAFF1, 0, 0, 1) => {
                 let texts = format!("{:32}{:22}", "steam", "cellar");
                 Some([b"\x00\x21\x00\x38\x01\x00", texts.as_bytes()].concat())
             }

@@ -4,17 +4,19 @@
 mod device;
 
 use std::collections::BTreeSet;
-use std::net::SocketAddrV4;
+use std::net::{Ipv4Addr, SocketAddrV4};
 use std::time::{Duration, Instant};
 
 use proptest::prelude::*;
 
 use super::device::Device;
+use super::passive::Passive;
 use super::print::{Format, print};
 use super::scan::{Pace, Scan};
+use crate::cli::decode::Seen;
 use crate::profinet::rpc::{Interface, PacketType, Rpc};
 use crate::profinet::{ByteOrder, Uuid};
-use device::{Datagram, FakeDevice, IM0};
+use device::{Datagram, FakeDevice};
 
 const PACE: Pace =
     Pace { interval: Duration::from_millis(10), timeout: Duration::from_secs(1), retries: 1 };
@@ -93,6 +95,9 @@ fn p_4_a_device_may_answer_from_any_port_and_in_its_own_byte_order() {
         assert_eq!(submodule.product.software_revision.as_deref(), Some("V1.2.3"));
         assert_eq!(submodule.function.as_deref(), Some("steam"));
         assert_eq!(submodule.descriptor, None, "it does not say that it has I&M3");
+        let places = device.submodules.iter().map(|it| (it.api, it.slot, it.submodule_ident));
+        assert_eq!(places.collect::<Vec<_>>(), [(0, 0, Some(2)), (0x3A00, 2, Some(4))]);
+        assert_eq!(device.submodules[1].product, submodule.product);
         assert!(log.sent.iter().all(|(_, to, _)| *to == at("172.17.17.7:34964")));
     }
 }
@@ -187,7 +192,7 @@ fn csv_has_no_formula_and_one_line_a_submodule() {
     let log = found(fake, "172.17.17.7:34964");
     let csv = printed(&log.devices, Format::Csv);
     let lines: Vec<_> = csv.split("\r\n").collect();
-    assert_eq!(lines.len(), 3, "a heading, a submodule, the end: {csv}");
+    assert_eq!(lines.len(), 4, "a heading, two submodules, the end: {csv}");
     assert!(lines[1].contains(",\"'=cmd,\"\"x\"\"\u{FFFD}[2J\","), "{csv}");
     assert_eq!(lines[0].split(',').next(), Some("address"));
     let text = printed(&log.devices, Format::Text);
@@ -196,6 +201,45 @@ fn csv_has_no_formula_and_one_line_a_submodule() {
         serde_json::from_str(&printed(&log.devices, Format::Json)).unwrap();
     assert_eq!(json["submodules"][0]["hardware_revision"], 3);
     assert_eq!(json["asked"], "172.17.17.7:34964");
+}
+
+/// P-8: what others are told is put together from a capture, whatever comes in between.
+#[test]
+fn p_8_what_is_overheard_is_what_was_asked() {
+    for fragment in [0, 40] {
+        let (start, mut passive) = (Instant::now(), Passive::default());
+        let mut fake = FakeDevice { fragment, ..FakeDevice::default() };
+        let mut log = run(scan(&["172.17.17.7:34964"], start), start, |to, octets| {
+            let answers = fake.answer(to, octets);
+            for answer in &answers {
+                // The same datagram of another device belongs to another answer.
+                for from in ["172.17.17.7:9001", "172.17.17.8:9001"] {
+                    passive.note(&Seen::Udp { from: at(from).into(), octets: answer });
+                }
+            }
+            answers.into_iter().map(|answer| (to, answer)).collect()
+        });
+        let asked = &mut log.devices[0];
+        (asked.asked, asked.answered_from) = (None, None);
+        let overheard = passive.into_devices();
+        assert_eq!((overheard.len(), &overheard[0]), (2, &*asked));
+    }
+}
+
+#[test]
+fn a_capture_of_endless_devices_takes_no_endless_memory() {
+    let (start, mut passive, mut answers) = (Instant::now(), Passive::default(), Vec::new());
+    let mut fake = FakeDevice::default();
+    run(scan(&["172.17.17.7:34964"], start), start, |to, octets| {
+        answers.extend(fake.answer(to, octets));
+        answers.last().map(|answer| (to, answer.clone())).into_iter().collect()
+    });
+    for host in 0..5000_u32 {
+        let from = (Ipv4Addr::from(0x0A00_0000 + host), 34964).into();
+        answers.iter().for_each(|octets| passive.note(&Seen::Udp { from, octets }));
+    }
+    assert!(passive.left_out > 900, "{}", passive.left_out);
+    assert_eq!(passive.into_devices().len(), 4096);
 }
 
 proptest! {
@@ -208,8 +252,8 @@ proptest! {
     ) {
         let start = Instant::now();
         let mut fake = FakeDevice { fragment, ..FakeDevice::default() };
-        let mut call = 0;
-        let log = run(scan(&["172.17.17.7:34964"], start), start, |to, octets| {
+        let (mut call, mut passive) = (0, Passive::default());
+        let mut log = run(scan(&["172.17.17.7:34964"], start), start, |to, octets| {
             let mut answers = fake.answer(to, octets);
             call += 1;
             if call >= at_call {
@@ -220,15 +264,14 @@ proptest! {
                     }
                 }
             }
+            for octets in &answers {
+                passive.note(&Seen::Udp { from: to.into(), octets });
+            }
             answers.into_iter().map(|answer| (to, answer)).collect()
         });
+        log.devices.extend(passive.into_devices());
         for format in [Format::Text, Format::Csv, Format::Json] {
             printed(&log.devices, format);
         }
     }
-}
-
-#[test]
-fn the_fake_device_is_right_about_i_and_m0() {
-    assert_eq!(IM0.len(), 60);
 }
