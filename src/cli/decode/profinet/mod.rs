@@ -17,7 +17,6 @@ mod ptcp;
 mod rpc;
 #[cfg_attr(not(test), expect(dead_code, reason = "the decoder does not call it yet"))]
 mod rpc_fragments;
-#[cfg_attr(not(test), expect(dead_code, reason = "the decoder does not call it yet"))]
 mod rpc_value;
 mod rt;
 mod streams;
