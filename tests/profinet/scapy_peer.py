@@ -15,11 +15,13 @@ it receives. Its endpoint mapper answers from the port that was asked.
 """
 
 import argparse
+import errno
 import json
 import logging
 import select
 import socket
 import sys
+import time
 import uuid
 
 logging.getLogger("scapy").setLevel(logging.ERROR)
@@ -39,7 +41,7 @@ OBJECT = uuid.UUID("dea00000-6c97-11d1-8271-000100421f2e")
 READ_IMPLICIT, LOOKUP, FREE = 5, 2, 4
 UNKNOWN_INTERFACE, CANCELLED, NO_MORE_ENTRIES = 0x1C010003, 0x1C00000D, 0x16C9A0D6
 # A record that the server of this script never finishes.
-ENDLESS = 0x0001
+ENDLESS = 0xF830
 MODULES = [(slot, 1, 0x100 + slot, 0x200 + slot) for slot in range(40)]
 
 
@@ -266,8 +268,15 @@ class Server:
     @staticmethod
     def bind(address, port):
         bound = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        bound.bind((address, port))
-        return bound
+        for left in reversed(range(200)):
+            try:
+                bound.bind((address, port))
+                return bound
+            except OSError as error:
+                # A process that is just being started may have a copy of an earlier device's socket.
+                if error.errno != errno.EADDRINUSE or left == 0:
+                    raise
+                time.sleep(0.05)
 
     def run(self):
         print(json.dumps({"kind": "ready"}), flush=True)

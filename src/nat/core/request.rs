@@ -91,6 +91,7 @@ impl Core {
         if let Some(port) = request.note(&mut flow.conversation, now) {
             server.set_port(port);
         }
+        let asks = request.wants_answer().then_some(id);
         if let Some(index) = credential.map(usize::from) {
             if flow.noted == 0 || now - flow.noted >= NOTED_AGAIN {
                 flow.noted = now;
@@ -100,7 +101,6 @@ impl Core {
             let net = self.rules.table.net(mapping.net);
             protocol::for_server(payload, net, &net.credentials[index])?;
         }
-        let asks = request.wants_answer().then_some(id);
         Ok(ToServer { via: flow.upstream, server, asks })
     }
 
@@ -141,7 +141,7 @@ impl Core {
         now: Nanos,
         arrival: &Arrival,
         net: NetId,
-        request: &Request,
+        request: &Request<'_>,
         open: Option<FlowId>,
         effects: &mut impl Effects,
     ) -> Result<Option<u16>, DropReason> {

@@ -17,9 +17,9 @@ pub use profinet::{NoSuchRecord, Record, Records};
 
 /// A well-formed request: what the core needs to know about it.
 #[derive(Debug)]
-pub(super) enum Request {
+pub(super) enum Request<'a> {
     PNet(pnet::Request),
-    Profinet(profinet::Request),
+    Profinet(profinet::Request<'a>),
 }
 
 /// A well-formed response.
@@ -39,10 +39,10 @@ pub(super) enum Conversation {
     Profinet(Box<profinet::Exchanges>),
 }
 
-impl Request {
+impl<'a> Request<'a> {
     /// Checks the structure of a request, and what of it can be checked without a flow.
     #[inline]
-    pub(super) fn parse(octets: &[u8], header: Header, net: &Net) -> Result<Self, DropReason> {
+    pub(super) fn parse(octets: &'a [u8], header: Header, net: &Net) -> Result<Self, DropReason> {
         match net.kind {
             NetKind::ProfinetDevice { records } => {
                 profinet::Request::parse(octets, records).map(Self::Profinet)

@@ -1,8 +1,10 @@
 //! PROFINET's DCE/RPC between controllers and devices that others wrote: directly, and through the
-//! kernel's port forward. docs/profinet.md shows what works, and has to show it as it is.
+//! kernel's port forward, and through the relay. docs/profinet.md shows what works, and has to show it
+//! as it is.
 //!
 //! Needs root, nft, and profinet-py and scapy, which `.ci/run` installs.
 
+mod hostile;
 mod through;
 
 use std::collections::BTreeSet;
@@ -10,7 +12,7 @@ use std::fmt::{self, Write};
 use std::thread;
 
 use serde_json::Value;
-use through::{DEVICE, Through};
+use through::{DEVICE, Through, start_relay};
 
 use crate::harness::{
     IDENTIFICATION, IoDevice, Network, PNIO_PORT, Packet, Process, eventually, has_nft,
@@ -25,6 +27,7 @@ struct Exchange {
     direct: Outcome,
     port_forward: Outcome,
     masquerade: Outcome,
+    relay: Outcome,
 }
 
 enum Device {
@@ -60,6 +63,7 @@ const EXCHANGES: [Exchange; 10] = [
         direct: Works,
         port_forward: Works,
         masquerade: Works,
+        relay: Works,
     },
     Exchange {
         what: "a device that answers from another port; the controller asks on at 34964",
@@ -68,6 +72,7 @@ const EXCHANGES: [Exchange; 10] = [
         direct: Works,
         port_forward: FromInside,
         masquerade: NoAnswer,
+        relay: Works,
     },
     Exchange {
         what: "the same; the controller asks on at the port that answered",
@@ -76,6 +81,7 @@ const EXCHANGES: [Exchange; 10] = [
         direct: Works,
         port_forward: FromInside,
         masquerade: NoAnswer,
+        relay: Works,
     },
     Exchange {
         what: "a request in little-endian, its answer in big-endian",
@@ -84,6 +90,7 @@ const EXCHANGES: [Exchange; 10] = [
         direct: Works,
         port_forward: Works,
         masquerade: Works,
+        relay: Works,
     },
     Exchange {
         what: "a request in big-endian, its answer in little-endian and in fragments",
@@ -92,6 +99,7 @@ const EXCHANGES: [Exchange; 10] = [
         direct: Works,
         port_forward: Works,
         masquerade: Works,
+        relay: Works,
     },
     Exchange {
         what: "request and answer in fragments, from another port",
@@ -100,6 +108,7 @@ const EXCHANGES: [Exchange; 10] = [
         direct: Works,
         port_forward: FromInside,
         masquerade: NoAnswer,
+        relay: Works,
     },
     Exchange {
         what: "ping and cancel",
@@ -108,6 +117,7 @@ const EXCHANGES: [Exchange; 10] = [
         direct: Works,
         port_forward: Works,
         masquerade: Works,
+        relay: Works,
     },
     Exchange {
         what: "ping and cancel, answered from another port",
@@ -116,6 +126,7 @@ const EXCHANGES: [Exchange; 10] = [
         direct: Works,
         port_forward: FromInside,
         masquerade: NoAnswer,
+        relay: Works,
     },
     Exchange {
         what: "the endpoint mapper is asked for the device's port",
@@ -124,6 +135,7 @@ const EXCHANGES: [Exchange; 10] = [
         direct: Works,
         port_forward: Works,
         masquerade: Works,
+        relay: Works,
     },
     Exchange {
         what: "and the device is asked at that port",
@@ -132,6 +144,7 @@ const EXCHANGES: [Exchange; 10] = [
         direct: Works,
         port_forward: NoAnswer,
         masquerade: NoAnswer,
+        relay: NoAnswer,
     },
 ];
 
@@ -141,6 +154,7 @@ impl Exchange {
             Through::Direct => self.direct,
             Through::PortForward => self.port_forward,
             Through::Masquerade => self.masquerade,
+            Through::Relay => self.relay,
         }
     }
 
@@ -248,9 +262,16 @@ fn every_exchange_works_directly_and_as_the_table_says_through_the_kernel() {
     }
     let surprises = |through: Through| {
         let network = Network::build().unwrap();
-        through.prepare(&network);
+        let relay = through.prepare(&network);
         let surprise = |exchange: &Exchange| exchange.surprise(through, &network);
-        EXCHANGES.iter().filter_map(surprise).collect::<Vec<_>>()
+        let surprises = EXCHANGES.iter().filter_map(surprise).collect::<Vec<_>>();
+        if let Some(relay) = relay {
+            network.edge.enter(|| {
+                relay.expect_drops(&[]);
+                relay.finish();
+            });
+        }
+        surprises
     };
     let surprises: Vec<_> = thread::scope(|scope| {
         let running = Through::ALL.map(|through| scope.spawn(move || surprises(through)));
@@ -280,6 +301,31 @@ fn a_controller_reads_the_identification_and_does_nothing_else() {
         assert_eq!((&line["sequence"], &line["port"]), (&sequence.into(), &port.into()));
     }
     assert_eq!(log.len(), 4);
+}
+
+/// The same through the relay: the device that answers from another port is read, and what is not a read
+/// does not reach it.
+#[test]
+fn through_the_relay_a_controller_reads_and_cannot_connect() {
+    if !can_run() {
+        return;
+    }
+    let Some(network) = Network::build() else { return };
+    let relay = start_relay(&network);
+    let device = network.plant.enter(|| IoDevice::start(DEVICE.into(), 9001).unwrap());
+    let printed = Controller::ProfinetPy("").run(Through::Relay, &network, true);
+    for (name, text) in IDENTIFICATION {
+        assert_eq!(printed["found"][name], text, "{printed}");
+    }
+    let refused = Controller::ProfinetPy("--connect").run(Through::Relay, &network, false);
+    assert!(refused["problems"][0].as_str().unwrap().contains("No response"), "{refused}");
+    let log: Vec<_> = device.received().iter().map(|datagram| datagram.log()).collect();
+    assert_eq!(log.len(), 4, "the Connect did not arrive");
+    assert!(log.iter().all(|line| line["opnum"] == 5), "{log:?}");
+    network.edge.enter(|| {
+        relay.expect_drops(&[("request", "rpc_connect", 1)]);
+        relay.finish();
+    });
 }
 
 /// The device's log would show it: a Connect arrives, and is refused by the device itself.
@@ -336,11 +382,11 @@ fn with_masquerade_the_router_refuses_an_answer_from_another_port() {
 
 #[test]
 fn the_page_has_the_table() {
-    let mut table = "| | directly | port forward | port forward and masquerade |\n\
-        |---|---|---|---|\n"
+    let mut table = "| | directly | port forward | port forward and masquerade | relay |\n\
+        |---|---|---|---|---|\n"
         .to_owned();
-    for Exchange { what, direct, port_forward, masquerade, .. } in &EXCHANGES {
-        writeln!(table, "| {what} | {direct} | {port_forward} | {masquerade} |").unwrap();
+    for Exchange { what, direct, port_forward, masquerade, relay, .. } in &EXCHANGES {
+        writeln!(table, "| {what} | {direct} | {port_forward} | {masquerade} | {relay} |").unwrap();
     }
     assert!(
         include_str!("../../../docs/profinet.md").contains(&format!("\n\n{table}\n")),

@@ -10,7 +10,7 @@ use crate::profinet::rpc::{Header, PacketType};
 use crate::nat::reason::DropReason;
 use crate::nat::time::Nanos;
 
-use super::{Continued, Request};
+use super::{Fragment, Part, Request, read};
 
 /// Calls of one flow that are known at a time. A client seldom has more than one.
 const MOST: usize = 8;
@@ -31,8 +31,8 @@ struct Exchange {
     last: Nanos,
     /// The port that the device answered from last; 0: it has not answered.
     port: u16,
-    /// What of the request is still to come.
-    rest: Rest,
+    /// What has passed of a request in fragments.
+    begun: Begun,
 }
 
 /// What a call is known by.
@@ -42,13 +42,45 @@ pub(super) struct Call {
     sequence: u32,
 }
 
-/// The fragments of a request that are still to come.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(super) struct Rest {
-    /// The number of the next fragment.
-    pub next: u16,
-    /// Octets of arguments.
-    pub octets: u32,
+/// A request in fragments, as far as it has passed. All fragments but the last have the length of the
+/// first.
+#[derive(Clone, Copy, Debug)]
+struct Begun {
+    stub: [u8; read::LEN],
+    /// Octets that have passed.
+    len: usize,
+    /// Octets of the first fragment.
+    first: usize,
+}
+
+impl Default for Begun {
+    fn default() -> Self {
+        Self { stub: [0; read::LEN], len: 0, first: 0 }
+    }
+}
+
+impl Begun {
+    /// The stub data with this fragment, as far as they are there then, and how many octets that is.
+    /// None if the fragment has no place there.
+    fn with(&self, fragment: &Fragment<'_>) -> Option<Self> {
+        let Fragment { number, is_last, stub, .. } = *fragment;
+        let first = if self.len == 0 { stub.len() } else { self.first };
+        let start = usize::from(number) * first;
+        let end = start + stub.len();
+        let fits = if is_last { end == read::LEN } else { stub.len() == first && end < read::LEN };
+        let mut with = Self { first, ..*self };
+        if !fits || start > self.len {
+            return None;
+        }
+        with.stub[start..end].copy_from_slice(stub);
+        // One that was lost on the way is sent again as it was.
+        let again = end.min(self.len);
+        if start < self.len && with.stub[start..again] != self.stub[start..again] {
+            return None;
+        }
+        with.len = end.max(self.len);
+        Some(with)
+    }
 }
 
 impl Call {
@@ -68,48 +100,39 @@ impl Exchanges {
         self.0.iter_mut().find(is_it)
     }
 
-    /// Whether a datagram of the client goes on with one of the calls.
-    pub(super) fn know(
-        &self,
-        call: Call,
-        operation: u16,
-        continued: Continued,
-        now: Nanos,
-    ) -> Result<(), DropReason> {
-        let exchange = self.find(call, now).filter(|exchange| exchange.operation == operation);
-        let exchange = exchange.ok_or(DropReason::UnknownExchange)?;
-        let Continued::Fragment { number, octets, is_last } = continued else { return Ok(()) };
-        let Rest { next, octets: left } = exchange.rest;
-        if number < next {
-            return Ok(()); // it was lost on the way, and is sent again
-        }
-        // The fragments are as long together as the first one said.
-        let fits = number == next && if is_last { octets == left } else { octets < left };
-        if fits { Ok(()) } else { Err(DropReason::BadNdr) }
+    /// Whether a part of a call goes on with one that is known. The first fragment may begin one.
+    pub(super) fn know(&self, request: &Request<'_>, now: Nanos) -> Result<(), DropReason> {
+        let exchange = match self.find(request.call, now) {
+            Some(exchange) if exchange.operation == request.operation => exchange,
+            None if matches!(request.part, Part::Fragment(Fragment { number: 0, .. })) => {
+                return Ok(());
+            }
+            _ => return Err(DropReason::UnknownExchange),
+        };
+        let Part::Fragment(fragment) = &request.part else { return Ok(()) };
+        let begun = exchange.begun.with(fragment).ok_or(DropReason::BadNdr)?;
+        read::check(&begun.stub[..begun.len], fragment.order, request.records)
     }
 
     /// Notes a datagram of the client that may pass. Returns the port that the device answers this
     /// call from, if it has answered from some port.
-    pub(in crate::nat) fn asked(&mut self, request: &Request, now: Nanos) -> Option<u16> {
+    pub(in crate::nat) fn asked(&mut self, request: &Request<'_>, now: Nanos) -> Option<u16> {
         let exchange = match self.find_mut(request.call, now) {
             Some(exchange) => exchange,
             None => self.begin(request, now),
         };
         exchange.last = now;
-        if let Some(Continued::Fragment { number, octets, .. }) = request.continued
-            && number == exchange.rest.next
-        {
-            exchange.rest.next += 1;
-            exchange.rest.octets = exchange.rest.octets.saturating_sub(octets);
+        if let Part::Fragment(fragment) = &request.part {
+            exchange.begun = exchange.begun.with(fragment).unwrap_or(exchange.begun);
         }
         (exchange.port > 0).then_some(exchange.port)
     }
 
     /// A call in a free place, or in that of the call that has been silent for longest.
-    fn begin(&mut self, request: &Request, now: Nanos) -> &mut Exchange {
+    fn begin(&mut self, request: &Request<'_>, now: Nanos) -> &mut Exchange {
         let index = (0..MOST).min_by_key(|&index| self.0[index].last).unwrap_or_default();
-        let Request { call, operation, rest, .. } = *request;
-        self.0[index] = Exchange { call, operation, last: now, port: 0, rest };
+        let Request { call, operation, .. } = *request;
+        self.0[index] = Exchange { call, operation, last: now, port: 0, begun: Begun::default() };
         &mut self.0[index]
     }
 

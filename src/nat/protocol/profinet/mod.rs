@@ -5,111 +5,73 @@
 //! ones have hung devices.
 
 mod exchanges;
+mod read;
 mod records;
 #[cfg(test)]
 mod tests;
 
-use crate::profinet::blocks::IodReadReqHeader;
 use crate::profinet::endpoint_mapper::{self, Message};
 use crate::profinet::rpc::{Body, Header, Interface, PacketType, ReadImplicit, Rpc};
-use crate::profinet::{ObjectUuid, Octets, ndr};
+use crate::profinet::{ByteOrder, ObjectUuid, Octets, ndr};
 
 use crate::nat::reason::DropReason;
 use crate::nat::time::Nanos;
 
+use exchanges::Call;
 pub(in crate::nat) use exchanges::Exchanges;
-use exchanges::{Call, Rest};
 pub use records::{NoSuchRecord, Record, Records};
 
 /// The most octets of a datagram that fits an Ethernet frame (P-8).
 const MAX_DATAGRAM: usize = 1472;
-/// The most octets of arguments that a request in fragments may have.
-const MAX_ARGS: u32 = 4096;
-
 /// A well-formed request, or what else a client sends.
-#[derive(Debug)]
-pub(in crate::nat) struct Request {
+#[derive(Clone, Copy, Debug)]
+pub(in crate::nat) struct Request<'a> {
     call: Call,
     operation: u16,
-    /// How it goes on with a call; none: it begins one, or is sent again.
-    continued: Option<Continued>,
-    /// The fragments that are still to come after it.
-    rest: Rest,
+    part: Part<'a>,
+    records: Records,
     is_maybe: bool,
 }
 
-/// What a client sends in a call that has begun.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Continued {
-    /// A further fragment of the request, with so many octets.
-    Fragment { number: u16, octets: u32, is_last: bool },
+/// Which part of a call it is.
+#[derive(Clone, Copy, Debug)]
+enum Part<'a> {
+    /// The whole request.
+    Whole,
+    /// A piece of the request.
+    Fragment(Fragment<'a>),
     /// A ping, an ack, a fack or a cancel.
     Signal,
 }
 
-impl Request {
-    /// Checks what a client sends (P-4 to P-7).
-    pub(in crate::nat) fn parse(octets: &[u8], records: Records) -> Result<Self, DropReason> {
+/// A fragment of a Read Implicit.
+#[derive(Clone, Copy, Debug)]
+struct Fragment<'a> {
+    number: u16,
+    is_last: bool,
+    stub: &'a [u8],
+    order: ByteOrder,
+}
+
+impl<'a> Request<'a> {
+    /// Checks what a client sends (P-4 to P-7), as far as that needs nothing else.
+    pub(in crate::nat) fn parse(octets: &'a [u8], records: Records) -> Result<Self, DropReason> {
         let rpc = parse(octets)?;
         let header = rpc.header();
-        let call = Call::of(header);
         if header.flags1.is_broadcast() {
             return Err(DropReason::Broadcast);
         }
-        let continued = match (header.packet_type, rpc.body()) {
-            (PacketType::Request, Body::Stub(stub)) => {
-                return Self::of_call(header, call, stub, records);
-            }
-            (PacketType::Fack, _) => Continued::Signal,
-            (packet_type, _) if packet_type.is_from_client() => Continued::Signal,
-            _ => return Err(DropReason::PacketType),
-        };
-        operation(header)?;
-        let (rest, operation) = (Rest::default(), header.operation);
-        Ok(Self { call, operation, continued: Some(continued), rest, is_maybe: false })
-    }
-
-    fn of_call(
-        header: &Header,
-        call: Call,
-        stub: Octets<'_>,
-        records: Records,
-    ) -> Result<Self, DropReason> {
+        let is_fack = header.packet_type == PacketType::Fack;
+        if !header.packet_type.is_from_client() && !is_fack {
+            return Err(DropReason::PacketType);
+        }
         let operation = operation(header)?;
-        let (flags, number) = (header.flags1, header.fragment_number);
-        let is_whole = !flags.is_fragment() || number == 0 && flags.is_last_fragment();
-        let mut request = Self {
-            call,
-            operation: header.operation,
-            continued: None,
-            rest: Rest::default(),
-            is_maybe: flags.is_maybe(),
+        let part = match rpc.body() {
+            Body::Stub(stub) => part_of(header, operation, stub, records)?,
+            _ => Part::Signal,
         };
-        if number > 0 {
-            let (octets, is_last) = (stub.len() as u32, flags.is_last_fragment());
-            request.continued = Some(Continued::Fragment { number, octets, is_last });
-            return Ok(request);
-        }
-        match operation {
-            Operation::LookUp if is_whole => {
-                Message::read(header, stub).ok().flatten().ok_or(DropReason::BadNdr)?;
-            }
-            Operation::LookUp => return Err(DropReason::BadNdr),
-            Operation::ReadImplicit => {
-                let (read, left) = read_header(stub)?;
-                if ObjectUuid::of(header.object).is_none() || is_whole != (left == 0) {
-                    return Err(DropReason::BadNdr);
-                }
-                if !read.ar_uuid.is_nil() {
-                    return Err(DropReason::RpcRead);
-                }
-                if !records.include(read.index) {
-                    return Err(DropReason::RecordNotAllowed);
-                }
-                request.rest = Rest { next: 1, octets: left };
-            }
-        }
-        Ok(request)
+        let (call, is_maybe) = (Call::of(header), header.flags1.is_maybe());
+        Ok(Self { call, operation: header.operation, part, records, is_maybe })
     }
 
     /// Checks that it belongs to a call of the flow, if it does not begin one.
@@ -118,17 +80,51 @@ impl Request {
         exchanges: Option<&Exchanges>,
         now: Nanos,
     ) -> Result<(), DropReason> {
-        let Some(continued) = self.continued else { return Ok(()) };
-        let exchanges = exchanges.ok_or(DropReason::UnknownExchange)?;
-        exchanges.know(self.call, self.operation, continued, now)
+        match (self.part, exchanges) {
+            (Part::Whole, _) | (Part::Fragment(Fragment { number: 0, .. }), None) => Ok(()),
+            (_, Some(exchanges)) => exchanges.know(self, now),
+            (_, None) => Err(DropReason::UnknownExchange),
+        }
     }
 
     /// Whether an answer is due once it is sent. A request in fragments asks with its last one.
     pub(in crate::nat) fn wants_answer(&self) -> bool {
-        match self.continued {
-            None => !self.is_maybe && self.rest.octets == 0,
-            Some(Continued::Fragment { is_last, .. }) => is_last && !self.is_maybe,
-            Some(Continued::Signal) => false,
+        match self.part {
+            Part::Whole => !self.is_maybe,
+            Part::Fragment(fragment) => fragment.is_last && !self.is_maybe,
+            Part::Signal => false,
+        }
+    }
+}
+
+fn part_of<'a>(
+    header: &Header,
+    operation: Operation,
+    stub: Octets<'a>,
+    records: Records,
+) -> Result<Part<'a>, DropReason> {
+    let (flags, number) = (header.flags1, header.fragment_number);
+    let is_last = !flags.is_fragment() || flags.is_last_fragment();
+    let is_whole = number == 0 && is_last;
+    match operation {
+        Operation::LookUp if is_whole => {
+            Message::read(header, stub).ok().flatten().ok_or(DropReason::BadNdr)?;
+            Ok(Part::Whole)
+        }
+        Operation::LookUp => Err(DropReason::BadNdr), // nobody cuts so little
+        Operation::ReadImplicit => {
+            if ObjectUuid::of(header.object).is_none() {
+                return Err(DropReason::BadNdr);
+            }
+            let (order, stub) = (stub.order(), stub.rest());
+            if number == 0 {
+                read::check(stub, order, records)?;
+                if is_whole != (stub.len() == read::LEN) || stub.is_empty() {
+                    return Err(DropReason::BadNdr);
+                }
+            }
+            let fragment = Fragment { number, is_last, stub, order };
+            Ok(if is_whole { Part::Whole } else { Part::Fragment(fragment) })
         }
     }
 }
@@ -164,7 +160,8 @@ pub(in crate::nat) fn response(
 /// Whether a datagram may begin a call.
 #[cfg(test)]
 pub(crate) fn is_sound_call(octets: &[u8]) -> bool {
-    Request::parse(octets, Records::default()).is_ok_and(|request| request.continued.is_none())
+    Request::parse(octets, Records::default())
+        .is_ok_and(|request| matches!(request.part, Part::Whole))
 }
 
 /// The datagram, with lengths and header checked.
@@ -210,28 +207,3 @@ fn operation(header: &Header) -> Result<Operation, DropReason> {
         _ => Err(DropReason::RpcInterface),
     }
 }
-
-/// The header of a read at the beginning of its arguments, and how many octets of them are still to
-/// come. A query may stand behind the header, and only a request with one has several fragments.
-fn read_header(mut stub: Octets<'_>) -> Result<(IodReadReqHeader, u32), DropReason> {
-    let mut numbers = [0; 5];
-    for number in &mut numbers {
-        *number = stub.u32().map_err(|_| DropReason::BadNdr)?;
-    }
-    let [args_maximum, args_length, maximum_count, offset, actual_count] = numbers;
-    let here = stub.len() as u32;
-    let agree = args_maximum == maximum_count
-        && offset == 0
-        && actual_count == args_length
-        && args_length <= maximum_count
-        && here <= args_length
-        && args_length <= MAX_ARGS;
-    if !agree {
-        return Err(DropReason::BadNdr);
-    }
-    let block = stub.in_order(Default::default()).part(IodReadReqHeader::LEN);
-    let read = block.and_then(|mut block| IodReadReqHeader::parse(&mut block));
-    Ok((read.map_err(|_| DropReason::BadNdr)?, args_length - here))
-}
-
-const _: () = assert!(ndr::Request::HEADER_LEN == 5 * size_of::<u32>());

@@ -30,7 +30,7 @@ fn octets(call: &ReadImplicit) -> Vec<u8> {
     octets.to_vec()
 }
 
-fn parse(octets: &[u8]) -> Result<Request, DropReason> {
+fn parse(octets: &[u8]) -> Result<Request<'_>, DropReason> {
     Request::parse(octets, Records::default())
 }
 
@@ -47,8 +47,8 @@ fn with_header(octets: &[u8], change: impl FnOnce(&mut Header)) -> Vec<u8> {
 #[test]
 fn p_4_reading_passes_in_both_byte_orders() {
     for order in [ByteOrder::Big, ByteOrder::Little] {
-        let request = parse(&octets(&read(order, 0xAFF0))).unwrap();
-        assert!(request.wants_answer());
+        let sound = octets(&read(order, 0xAFF0));
+        assert!(parse(&sound).unwrap().wants_answer());
         let mut buffer = [0; 200];
         let length = Lookup::next_of_all(Handle::default()).emit(order, ACTIVITY, 0, &mut buffer);
         assert!(parse(&buffer[..length.unwrap()]).is_ok());
@@ -128,58 +128,94 @@ fn p_9_only_listed_records_are_read() {
     }
 }
 
-/// A read with a query of this many octets, cut into two fragments behind `first` of them.
-fn fragments(query: u32, first: usize) -> [Vec<u8>; 2] {
-    let whole = octets(&read(ByteOrder::Big, 0xAFF0));
-    let length = (64 + query).to_be_bytes();
-    let maximum = 2000_u32.to_be_bytes();
-    let stub = [
-        &maximum[..],
-        &length,
-        &maximum,
-        &[0; 4],
-        &length,
-        &whole[100..],
-        &vec![7; query as usize],
-    ];
-    let stub = stub.concat();
+/// A read in fragments of this many octets.
+fn fragments(order: ByteOrder, octets_each: usize, change: impl FnOnce(&mut [u8])) -> Vec<Vec<u8>> {
+    let mut whole = octets(&read(order, 0xAFF0));
     let header = *Rpc::parse(&whole).unwrap().header();
-    [(0, &stub[..84 + first]), (1, &stub[84 + first..])].map(|(number, part)| {
-        let last = if number == 1 { Flags1::LAST_FRAGMENT } else { 0 };
+    change(&mut whole[Header::LEN..]);
+    let parts: Vec<_> = whole[Header::LEN..].chunks(octets_each).collect();
+    let cut = |(number, part): (usize, &&[u8])| {
+        let last = if number + 1 == parts.len() { Flags1::LAST_FRAGMENT } else { 0 };
         let flags1 = Flags1(Flags1::FRAGMENT | last);
-        let header = Header { flags1, fragment_number: number, ..header };
-        let mut buffer = [0; 1500];
+        let header = Header { flags1, fragment_number: number as u16, ..header };
+        let mut buffer = [0; 200];
         let length = header.emit(part, &mut buffer).unwrap();
         buffer[..length].to_vec()
-    })
+    };
+    parts.iter().enumerate().map(cut).collect()
+}
+
+/// What becomes of datagrams of one client, one after the other.
+fn verdicts(datagrams: &[Vec<u8>]) -> Vec<Result<bool, DropReason>> {
+    let mut exchanges = Exchanges::default();
+    let judge = |octets: &Vec<u8>| {
+        let request = parse(octets)?;
+        request.goes_on(Some(&exchanges), 1)?;
+        exchanges.asked(&request, 1);
+        Ok(request.wants_answer())
+    };
+    datagrams.iter().map(judge).collect()
 }
 
 #[test]
-fn p_8_fragments_belong_together_and_are_as_long_as_the_first_one_says() {
-    let mut exchanges = Exchanges::default();
-    let [first, last] = fragments(100, 40);
-    let (first, last) = (parse(&first).unwrap(), parse(&last).unwrap());
-    assert!(!first.wants_answer() && last.wants_answer());
-    assert_eq!(last.goes_on(Some(&exchanges), 1), Err(DropReason::UnknownExchange));
-    assert_eq!(last.goes_on(None, 1), Err(DropReason::UnknownExchange));
-    assert_eq!(first.goes_on(None, 1), Ok(()));
-    exchanges.asked(&first, 1);
-    let [_, too_long] = fragments(101, 40);
-    let too_long = parse(&too_long).unwrap();
-    assert_eq!(too_long.goes_on(Some(&exchanges), 2), Err(DropReason::BadNdr));
-    assert_eq!(last.goes_on(Some(&exchanges), 2), Ok(()));
-    exchanges.asked(&last, 2);
-    assert_eq!(last.goes_on(Some(&exchanges), 3), Ok(()), "it is sent again");
-    assert_eq!(too_long.goes_on(Some(&exchanges), 3), Ok(()), "so it looks; it changes nothing");
+fn p_8_fragments_are_checked_as_they_come() {
+    for order in [ByteOrder::Big, ByteOrder::Little] {
+        for octets_each in [1, 28, 30, 42, 83] {
+            let sound = fragments(order, octets_each, |_| ());
+            let seen = verdicts(&sound);
+            let (last, before) = seen.split_last().unwrap();
+            assert!(before.iter().all(|verdict| *verdict == Ok(false)), "{seen:?}");
+            assert_eq!(*last, Ok(true), "it asks with its last one");
+            let again: Vec<_> = sound.iter().flat_map(|it| [it.clone(), it.clone()]).collect();
+            assert!(verdicts(&again).iter().all(Result::is_ok), "each is sent again");
+        }
+    }
+}
 
-    // A request that is cut before its header is complete cannot be checked.
-    let whole = octets(&read(ByteOrder::Big, 0xAFF0));
-    let cut = with_header(&whole[..], |header| header.flags1 = Flags1(Flags1::FRAGMENT));
-    assert_eq!(parse(&cut).unwrap_err(), DropReason::BadNdr, "nothing is left for others");
-    let alone = with_header(&whole, |header| {
+/// The fragment that makes a request one that may not pass does not pass.
+#[test]
+fn p_8_what_is_refused_in_one_piece_is_refused_in_fragments() {
+    let end_with = |change: fn(&mut [u8])| {
+        let fragments = fragments(ByteOrder::Big, 28, change);
+        let verdicts = verdicts(&fragments);
+        verdicts.into_iter().find_map(Result::err)
+    };
+    assert_eq!(end_with(|stub| stub[55] = 0x09), Some(DropReason::RecordNotAllowed));
+    assert_eq!(end_with(|stub| stub[30] = 1), Some(DropReason::RpcRead));
+    assert_eq!(end_with(|stub| stub[7] = 1), Some(DropReason::BadNdr));
+    assert_eq!(end_with(|stub| stub[21] = 8), Some(DropReason::BadNdr));
+    assert_eq!(end_with(|_| ()), None);
+}
+
+#[test]
+fn p_8_fragments_that_do_not_belong_together_are_refused() {
+    let sound = fragments(ByteOrder::Big, 28, |_| ());
+    let unknown = Err(DropReason::UnknownExchange);
+    let bad = Err(DropReason::BadNdr);
+    assert_eq!(verdicts(&sound[1..2]), [unknown]);
+    assert_eq!(parse(&sound[1]).unwrap().goes_on(None, 1), Err(DropReason::UnknownExchange));
+    assert_eq!(verdicts(&[sound[0].clone(), sound[2].clone()]), [Ok(false), bad], "a gap");
+    // What has passed does not change any more: here the API, which alone would be right.
+    let other = fragments(ByteOrder::Big, 50, |stub| stub[44] = 9);
+    let first = fragments(ByteOrder::Big, 50, |_| ()).remove(0);
+    assert_eq!(verdicts(&other[..1]), [Ok(false)]);
+    assert_eq!(verdicts(&[first, other[0].clone()]), [Ok(false), bad], "not as it was");
+    let (header, mut shorter) = (*Rpc::parse(&sound[1]).unwrap().header(), vec![0; 100]);
+    header.emit(&sound[1][Header::LEN..Header::LEN + 20], &mut shorter).unwrap();
+    assert_eq!(verdicts(&[sound[0].clone(), shorter]), [Ok(false), bad], "another length");
+    let last = with_header(&sound[1], |header| {
         header.flags1 = Flags1(Flags1::FRAGMENT | Flags1::LAST_FRAGMENT);
     });
-    assert!(parse(&alone).unwrap().wants_answer());
+    assert_eq!(verdicts(&[sound[0].clone(), last]), [Ok(false), bad], "it ends too early");
+    let look_up = with_header(&sound[1], |header| {
+        header.interface = Interface::EndpointMapper.uuid();
+        (header.interface_version, header.operation) = (3, 2);
+    });
+    assert_eq!(verdicts(&[sound[0].clone(), look_up]), [Ok(false), bad], "another operation");
+    let whole = octets(&read(ByteOrder::Big, 0xAFF0));
+    let alone = |flags| with_header(&whole, |header| header.flags1 = Flags1(flags));
+    assert_eq!(verdicts(&[alone(Flags1::FRAGMENT)]), [bad], "nothing is left for others");
+    assert_eq!(verdicts(&[alone(Flags1::FRAGMENT | Flags1::LAST_FRAGMENT)]), [Ok(true)]);
 }
 
 fn answer(order: ByteOrder, packet_type: PacketType) -> Vec<u8> {
@@ -202,7 +238,8 @@ fn answer(order: ByteOrder, packet_type: PacketType) -> Vec<u8> {
 /// Requests and answers of one call may have different byte orders, and any port of the device.
 #[test]
 fn p_7_an_answer_belongs_to_its_call() {
-    let request = parse(&octets(&read(ByteOrder::Little, 0xAFF0))).unwrap();
+    let asked = octets(&read(ByteOrder::Little, 0xAFF0));
+    let request = parse(&asked).unwrap();
     let mut exchanges = Exchanges::default();
     let sound = answer(ByteOrder::Big, PacketType::Response);
     let unknown = Err(DropReason::UnknownExchange);
@@ -243,14 +280,13 @@ fn p_7_an_answer_belongs_to_its_call() {
 #[test]
 fn of_many_calls_the_newest_are_known() {
     let mut exchanges = Exchanges::default();
-    let call =
-        |sequence| parse(&octets(&ReadImplicit { sequence, ..read(ByteOrder::Big, 0xAFF0) }));
+    let call = |sequence| octets(&ReadImplicit { sequence, ..read(ByteOrder::Big, 0xAFF0) });
     let answer = |sequence| {
         let sound = answer(ByteOrder::Little, PacketType::Response);
         with_header(&sound, |header| header.sequence = sequence)
     };
     for sequence in 0..20 {
-        exchanges.asked(&call(sequence).unwrap(), 100 + u64::from(sequence));
+        exchanges.asked(&parse(&call(sequence)).unwrap(), 100 + u64::from(sequence));
     }
     let known = |sequence| response(&answer(sequence), &mut exchanges.clone(), 1, 200).is_ok();
     assert!((0..12).all(|sequence| !known(sequence)) && (12..20).all(known));
@@ -270,7 +306,7 @@ proptest! {
             octets[at] = octet;
         }
         octets.truncate(cut.unwrap_or(ReadImplicit::LEN));
-        if let Ok(request) = parse(&octets) && request.continued.is_none() {
+        if let Ok(request) = parse(&octets) && matches!(request.part, Part::Whole) {
             let rpc = Rpc::parse(&octets).unwrap();
             let read = ReadImplicit::parse(&rpc);
             prop_assert!(matches!(read, Ok(Some(read)) if Records::default().include(read.index)));

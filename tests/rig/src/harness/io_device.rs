@@ -18,6 +18,8 @@ use pnio::im::{INDEX_IM1, INDEX_IM2, INDEX_IM3, Im0, ImStore, SwRevision};
 use pnio::rpc::Uuid;
 use serde_json::{Value, json};
 
+use super::eventually;
+
 /// P-4: where devices and controllers listen.
 pub const PNIO_PORT: u16 = 34964;
 
@@ -60,7 +62,14 @@ impl IoDevice {
     /// Starts a device in the calling thread's network namespace. It listens at port 34964 of this
     /// address and at the port that it answers from, which may be the same.
     pub fn start(address: IpAddr, answer_from: u16) -> io::Result<Self> {
-        let bind = |port| UdpSocket::bind((address, port)).map(Arc::new);
+        // A process that another scenario starts at this moment has a copy of every socket for a
+        // short time, also of those of the device before.
+        let bind = |port| {
+            eventually("the device's port is free", || match UdpSocket::bind((address, port)) {
+                Err(error) if error.kind() == ErrorKind::AddrInUse => None,
+                bound => Some(bound.map(Arc::new)),
+            })
+        };
         let answers = bind(answer_from)?;
         let mut sockets = vec![Arc::clone(&answers)];
         if answer_from != PNIO_PORT {
