@@ -68,7 +68,8 @@ pub fn first_fault(show: &dyn Show) -> Option<Malformed> {
     fault
 }
 
-fn fault_of(value: Value<'_>) -> Option<Malformed> {
+/// The same of a value.
+pub fn fault_of(value: Value<'_>) -> Option<Malformed> {
     match value {
         Value::Fault(fault) => Some(fault),
         Value::Fields(show) => first_fault(show),

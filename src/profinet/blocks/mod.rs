@@ -13,6 +13,7 @@ mod maintenance;
 mod names;
 mod physical;
 mod record;
+mod redundancy;
 #[cfg(test)]
 mod tests;
 mod words;
@@ -39,6 +40,12 @@ pub use physical::{
 pub use record::{
     IodReadReqHeader, IodReadResHeader, IodWriteReqHeader, IodWriteResHeader, MULTIPLE_WRITE,
     Record, RecordIndex,
+};
+
+pub use redundancy::{
+    FastStartUp, FsHelloBlock, FsParameterBlock, IrInfoBlock, IrIocr, MrpAdjust, MrpCheck,
+    MrpClientParams, MrpInstanceAdjust, MrpInstanceCheck, MrpInstances, MrpManagerParams,
+    MrpRingStateData, PortMrp, PortMrpInstance, RsInfoBlock, SrInfoBlock,
 };
 
 use super::view::{Show, Value, View};

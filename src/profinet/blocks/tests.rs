@@ -149,11 +149,11 @@ fn p_6_connect_says_what_modules_are_expected_and_hears_what_differs() {
         contents(
             0x8104,
             0x0100,
-            "0001 00000000 0001 0001 00000031 0001 0002 0001 00000131 0000 0002 00000132 9005"
+            "0001 00000000 0001 0001 00000031 0001 0002 0001 00000131 0002 0002 00000132 9005"
         ),
         "{apis: [{api: 0, modules: [{slot: 1, module_ident_number: 49, \
          module_state: 1 (wrong module), submodules: [\
-         {subslot: 1, submodule_ident_number: 305, submodule_state: 0 (no submodule)}, \
+         {subslot: 1, submodule_ident_number: 305, submodule_state: 0x2 detail=2}, \
          {subslot: 2, submodule_ident_number: 306, \
          submodule_state: 0x9005 add_info=5 ident_info=2 format_indicator=1}]}]}]}"
     );
@@ -196,6 +196,74 @@ fn p_6_control_has_one_layout_for_all_steps() {
         contents(0x0119, 0x0100, "0001 00000000 0001 0002"),
         "{entries: [{api: 0, slot: 1, subslot: 2}]}"
     );
+}
+
+#[test]
+fn p_12_rings_have_a_name_and_parameters() {
+    let ring = "mrp_domain_uuid: 00112233-4455-6677-8899-aabbccddeeff";
+    assert_eq!(
+        contents(
+            0x0211,
+            0x0100,
+            &format!("0000 {AR} 0001 0000 03 6D7270 0217 0008 0100 0014 0015 0004")
+        ),
+        format!(
+            "{{{ring}, mrp_role: 1 (client), mrp_domain_name: \"mrp\", blocks: [{{type: 535, \
+             name: MrpClientParams, version: 1.0, length: 8, mrp_lnkdownt: 20, mrp_lnkupt: 21, \
+             mrp_lnknrmax: 4}}]}}"
+        )
+    );
+    let instance = format!(
+        "0231 0030 0100 00 01 {AR} 0002 0000 03 6D7270 \
+         0216 0010 0100 8000 0001 0003 0014 0032 0005 0000"
+    );
+    assert_eq!(
+        contents(0x0211, 0x0101, &format!("00 01 {instance}")),
+        format!(
+            "{{number_of_mrp_instances: 1, blocks: [{{type: 561, name: MrpInstanceDataAdjust, \
+             version: 1.0, length: 48, mrp_instance: 1, {ring}, mrp_role: 2 (manager), \
+             mrp_domain_name: \"mrp\", blocks: [{{type: 534, name: MrpManagerParams, version: 1.0, \
+             length: 16, mrp_prio: 32768, mrp_topchgt: 1, mrp_topnrmax: 3, mrp_tstshortt: 20, \
+             mrp_tstdefaultt: 50, mrp_tstnrmax: 5}}]}}]}}"
+        )
+    );
+    for (block_type, version, digits, text) in [
+        (0x0213, 0x0100, "0000 AR 00000003", "{RING, mrp_check: 0x3 mrm=1 domain_uuid=1}"),
+        (0x0233, 0x0100, "00 02 AR 00000001", "{mrp_instance: 2, RING, mrp_check: 0x1 mrm=1}"),
+        (0x0214, 0x0100, "0000 AR", "{RING}"),
+        (0x0215, 0x0101, "00 03 AR", "{mrp_instance: 3, RING}"),
+        (0x0219, 0x0100, "0001", "{mrp_ring_state: 1 (closed)}"),
+    ] {
+        let shown = contents(block_type, version, &digits.replace("AR", AR));
+        assert_eq!(shown, text.replace("RING", ring));
+    }
+}
+
+#[test]
+fn p_6_connect_may_ask_for_more_than_rt() {
+    assert_eq!(
+        contents(0x0109, 0x0100, &format!("0000 {AR} 0000 0001 0001 000D 00000102")),
+        "{ir_data_uuid: 00112233-4455-6677-8899-aabbccddeeff, iocrs: [{iocr_reference: 1, \
+         subframe_offset: 13, subframe_data: 0x102 position=2 length=1}]}"
+    );
+    assert_eq!(
+        contents(0x010A, 0x0100, "0096 00000005"),
+        "{redundancy_data_hold_factor: 150, \
+         sr_properties: 0x5 input_valid_on_backup_ar=1 mode=1}"
+    );
+    assert_eq!(contents(0x010C, 0x0100, "0000 00000001"), "{rs_properties: 1}");
+    let hello = "0600 0014 0100 0000 00000002 00000064 00000003 00000032";
+    let parameter = format!("0601 0018 0100 0000 00000001 {AR}");
+    for block_type in [0x010B, 0x0608, 0x0609] {
+        assert_eq!(
+            contents(block_type, 0x0100, &format!("0000 {hello} {parameter}")),
+            "{blocks: [{type: 1536, name: FSHelloBlock, version: 1.0, length: 20, \
+             fs_hello_mode: 2 (when a link comes up, after a delay), fs_hello_interval: 100, \
+             fs_hello_retry: 3, fs_hello_delay: 50}, {type: 1537, name: FSParameterBlock, \
+             version: 1.0, length: 24, fs_parameter_mode: 1 (on), \
+             fs_parameter_uuid: 00112233-4455-6677-8899-aabbccddeeff}]}"
+        );
+    }
 }
 
 /// The contents of a header up to the length of its record.

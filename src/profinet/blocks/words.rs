@@ -83,31 +83,22 @@ pub(super) fn module_state(number: u64) -> Value<'static> {
     word(number, &[(0, "no module"), (1, "wrong module"), (2, "proper module"), (3, "substitute")])
 }
 
-/// Bit 15 says that the others are parts. Without it the rest is one number.
+/// Bit 15 says that the others are parts. Without it they are one number, as before version 2.
 pub(super) fn submodule_state(number: u64) -> Value<'static> {
-    if number & 0x8000 != 0 {
-        return Value::Bits(
-            number,
-            &[
-                ("add_info", 0, 3),
-                ("advice", 3, 1),
-                ("maintenance_required", 4, 1),
-                ("maintenance_demanded", 5, 1),
-                ("fault", 6, 1),
-                ("ar_info", 7, 4),
-                ("ident_info", 11, 4),
-                ("format_indicator", 15, 1),
-            ],
-        );
+    if number & 0x8000 == 0 {
+        return Value::Bits(number, &[("detail", 0, 15), ("format_indicator", 15, 1)]);
     }
-    word(
+    Value::Bits(
         number,
         &[
-            (0, "no submodule"),
-            (1, "wrong submodule"),
-            (2, "locked by the IO controller"),
-            (4, "application is not ready yet"),
-            (7, "substitute"),
+            ("add_info", 0, 3),
+            ("advice", 3, 1),
+            ("maintenance_required", 4, 1),
+            ("maintenance_demanded", 5, 1),
+            ("fault", 6, 1),
+            ("ar_info", 7, 4),
+            ("ident_info", 11, 4),
+            ("format_indicator", 15, 1),
         ],
     )
 }
@@ -257,4 +248,35 @@ pub(super) fn alarm_specifier(number: u64) -> Value<'static> {
             ("ar_diagnosis_state", 15, 1),
         ],
     )
+}
+
+pub(super) fn mrp_role(number: u64) -> Value<'static> {
+    word(number, &[(0, "no redundancy"), (1, "client"), (2, "manager"), (3, "manager or client")])
+}
+
+pub(super) fn mrp_check(number: u64) -> Value<'static> {
+    Value::Bits(number, &[("mrm", 0, 1), ("domain_uuid", 1, 1)])
+}
+
+pub(super) fn mrp_ring_state(number: u64) -> Value<'static> {
+    word(number, &[(0, "open"), (1, "closed")])
+}
+
+pub(super) fn subframe_data(number: u64) -> Value<'static> {
+    Value::Bits(number, &[("position", 0, 7), ("length", 8, 8)])
+}
+
+pub(super) fn sr_properties(number: u64) -> Value<'static> {
+    Value::Bits(number, &[("input_valid_on_backup_ar", 0, 1), ("mode", 2, 1)])
+}
+
+pub(super) fn fs_hello_mode(number: u64) -> Value<'static> {
+    word(
+        number,
+        &[(0, "off"), (1, "when a link comes up"), (2, "when a link comes up, after a delay")],
+    )
+}
+
+pub(super) fn fs_parameter_mode(number: u64) -> Value<'static> {
+    word(number, &[(0, "off"), (1, "on")])
 }
