@@ -1,6 +1,8 @@
 //! `pnet-nat decode` beside tshark on frames of PROFINET: `tests/profinet/judge.py` compares them field by
 //! field, on frames made here, and on real captures where `PNET_NAT_CAPTURES` names a folder of them.
 
+mod rpc;
+
 use std::fs;
 use std::path::Path;
 use std::process::Command;
@@ -219,6 +221,28 @@ fn ptcp() -> Vec<(u16, Vec<u8>)> {
 }
 
 #[test]
+fn datagrams_of_every_kind_are_read_as_tshark_reads_them() {
+    if !has_tshark() {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("datagrams.pcap");
+    let frames = [
+        rpc::packet_types(),
+        rpc::without_connection(),
+        rpc::connection(),
+        rpc::records(),
+        rpc::fragments(),
+        rpc::alarms(),
+    ]
+    .concat();
+    fs::write(&file, capture(&frames)).unwrap();
+    let (code, said) = judged(env!("CARGO_BIN_EXE_pnet-nat"), &[&file]);
+    assert_eq!(code, Some(0), "{said}");
+    assert!(said.contains(&format!(": {} frames in both, ", frames.len())), "{said}");
+}
+
+#[test]
 fn frames_of_every_kind_are_read_as_tshark_reads_them() {
     if !has_tshark() {
         return;
@@ -240,7 +264,8 @@ fn a_field_that_differs_is_found() {
     }
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("frames.pcap");
-    fs::write(&file, capture(&[cyclic(), lldp()].concat())).unwrap();
+    let frames = [cyclic(), lldp(), rpc::connection()].concat();
+    fs::write(&file, capture(&frames)).unwrap();
     let program = folder.path().join("decode");
     let doctored = |change: &str| {
         let script =
@@ -256,6 +281,8 @@ fn a_field_that_differs_is_found() {
             "pn_rt.cycle_counter: decode has [4661]",
         ),
         ("s/\"mau_type\":30/\"mau_type\":16/", "lldp.ieee.802_3.pmd_mau_type"),
+        ("s/\"iocr_reference\":1/\"iocr_reference\":3/", "pn_io.iocr_reference: decode has [3]"),
+        ("s/\"sequence\":4/\"sequence\":5/", "dcerpc.dg_seqnum: decode has [5], tshark has [4]"),
         ("s/\"protocol\":\"lldp\"/\"protocol\":\"mrp\"/", "decode has mrp, tshark has lldp"),
         ("/\"protocol\":\"lldp\"/d", "decode has None, tshark has lldp"),
     ] {

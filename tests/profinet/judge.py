@@ -13,6 +13,8 @@ import re
 import subprocess
 import sys
 
+import judge_rpc
+
 
 def number(text):
     """A number as tshark prints it, or a bit."""
@@ -195,6 +197,15 @@ FIELDS = [
     Field(MRP, "pn_mrp.other_mrm_sa", "tlvs[].other_source", mac),
 ]
 
+RPC = ("profinet-rpc",)
+
+
+def row(protocols, field, path, read=None, ours=None):
+    return Field(protocols, field, path, read or number, ours)
+
+
+FIELDS += [row(RPC, *columns) for columns in judge_rpc.HEADER] + [row(RPC + ALARM, *columns) for columns in judge_rpc.BLOCKS]
+
 # What differs, and why it may: tshark's field, a test of (object, ours, theirs), and the reason.
 EXPLAINED = []
 
@@ -223,6 +234,9 @@ explain(
     "tshark 4.0 knows the TLVs of an interconnection by their type alone",
 )
 
+for rows in judge_rpc.EXPLAINED:
+    explain(*rows)
+
 SEPARATOR, MORE = "\x1e", "\x1f"
 
 
@@ -234,6 +248,8 @@ def protocol_of(protocols, frame_id):
             return name
     if "pn_ptcp" in layers:
         return "ptcp"
+    if {"udp", "dcerpc"} <= set(layers):
+        return "profinet-rpc"
     if "pn_rt" in layers:
         return "profinet-alarm" if frame_id in (0xFC01, 0xFE01) else "profinet-rt"
     return None
@@ -242,15 +258,24 @@ def protocol_of(protocols, frame_id):
 def at(values, path):
     """The values at a path of an object."""
     for step in re.findall(r"\[[^\]]*\]|[^.\[\]]+", path):
-        if step == "[]":
+        if step == "**":
+            values = [inner for value in values for inner in objects(value)]
+        elif step == "[]":
             values = [item for value in values for item in value]
         elif step.startswith("["):
             if values and isinstance(values[0], list):
                 values = [item for value in values for item in value]
             values = [value for value in values if matches(value, step[1:-1])]
         else:
-            values = [value[step] for value in values if value.get(step) is not None]
+            values = [value[step] for value in values if isinstance(value, dict) and value.get(step) is not None]
     return values
+
+
+def objects(value):
+    """An object, and every object inside, in the order in which they are printed."""
+    if isinstance(value, dict):
+        return [value, *(found for item in value.values() for found in objects(item))]
+    return [found for item in value for found in objects(item)] if isinstance(value, list) else []
 
 
 def matches(item, condition):

@@ -1,6 +1,7 @@
 //! From captured packets and lines of text to what is printed.
 
 use std::cell::RefCell;
+use std::fmt::Display;
 use std::io::{self, Write};
 use std::net::SocketAddr;
 use std::time::SystemTime;
@@ -15,7 +16,8 @@ use super::line::{Line, Locator, Reason, Unanswered};
 use super::packet::{self, Found, Udp};
 use super::pairing::{Asked, Pairing, Request};
 use super::profinet::{
-    self, Ethernet, FrameLine, ProfinetReport, ProfinetSummary, Protocol, Shown,
+    self, Ethernet, FrameLine, ProfinetReport, ProfinetSummary, Protocol, RpcFields, RpcFragments,
+    Shown,
 };
 use super::row::{self, InRow};
 use super::settings::Settings;
@@ -32,6 +34,7 @@ pub(super) struct Decoder<'a, W> {
     pairing: Pairing,
     summary: Summary,
     profinet: ProfinetSummary,
+    rpc_fragments: RpcFragments,
     unknown_link: Option<i32>,
 }
 
@@ -44,6 +47,7 @@ impl<'a, W: Write> Decoder<'a, W> {
             pairing: Pairing::default(),
             summary: Summary::default(),
             profinet: ProfinetSummary::default(),
+            rpc_fragments: RpcFragments::default(),
             unknown_link: None,
         }
     }
@@ -65,7 +69,7 @@ impl<'a, W: Write> Decoder<'a, W> {
         if let Some(frame) = profinet::frame(captured) {
             return self.frame(captured, &frame);
         }
-        if !self.settings.shows(Protocol::PNet) {
+        if ![Protocol::PNet, Protocol::ProfinetRpc].iter().any(|it| self.settings.shows(*it)) {
             return Ok(());
         }
         match packet::find(link, octets) {
@@ -95,7 +99,7 @@ impl<'a, W: Write> Decoder<'a, W> {
             return Ok(());
         }
         self.profinet.frame(frame, (protocol, &fields), captured.time);
-        let line = FrameLine {
+        self.print(&FrameLine {
             frame: captured.number,
             time: captured.time,
             from: Shown(frame.from),
@@ -103,12 +107,15 @@ impl<'a, W: Write> Decoder<'a, W> {
             vlan: frame.vlan,
             protocol,
             fields,
-        };
+        })
+    }
+
+    fn print<A: Display, F: Display + Serialize>(&self, line: &FrameLine<A, F>) -> io::Result<()> {
         let mut output = self.output.borrow_mut();
         match self.settings.format {
             Format::Text if self.settings.is_verbose => line.write_tree(&mut *output),
             Format::Text => line.write_text(&mut *output),
-            Format::Json => print_json(&line, &mut *output),
+            Format::Json => print_json(line, &mut *output),
         }
     }
 
@@ -119,6 +126,14 @@ impl<'a, W: Write> Decoder<'a, W> {
         fragments: Option<u64>,
     ) -> io::Result<()> {
         let &Udp { from, to, octets, length } = udp;
+        if !self.is_wanted(from, to)
+            && let Some(fields) = RpcFields::of(octets, [from.port(), to.port()])
+        {
+            return self.rpc(captured, [from, to], fields);
+        }
+        if !self.settings.shows(Protocol::PNet) {
+            return Ok(());
+        }
         if !self.is_wanted(from, to) {
             // It may still be an answer from another port than was asked.
             let Ok(datagram) = Datagram::parse(octets, self.settings.header) else { return Ok(()) };
@@ -129,6 +144,33 @@ impl<'a, W: Write> Decoder<'a, W> {
         }
         let at = Locator::Capture { packet: captured.number, time: captured.time, from, to };
         self.payload(Place { at, fragments }, octets, length)
+    }
+
+    /// Shows a datagram of PROFINET's RPC, with the whole call if this is the fragment that was missing.
+    fn rpc(
+        &mut self,
+        captured: &Captured<'_>,
+        [from, to]: [SocketAddr; 2],
+        fields: RpcFields<'_>,
+    ) -> io::Result<()> {
+        if !self.settings.shows(Protocol::ProfinetRpc) {
+            return Ok(());
+        }
+        let whole = self.rpc_fragments.add(&fields);
+        let fields = match &whole {
+            Some(stub) => fields.with_call(stub),
+            None => fields,
+        };
+        self.profinet.rpc(&fields);
+        self.print(&FrameLine {
+            frame: captured.number,
+            time: captured.time,
+            from: Shown(from),
+            to: Some(Shown(to)),
+            vlan: None,
+            protocol: Protocol::ProfinetRpc,
+            fields,
+        })
     }
 
     /// Names a datagram that was not put together.

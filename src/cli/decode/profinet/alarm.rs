@@ -2,14 +2,18 @@
 
 use std::fmt::{self, Display};
 
-use serde::Serialize;
+use serde::{Serialize, Serializer};
 
 use super::Fault;
+use super::rpc::write_blocks;
+use super::rpc_value::{Elements, Fields};
 use super::words::Shown;
 use crate::cli::output::Hex;
-use crate::profinet::Octets;
 use crate::profinet::alarm::{AlarmFrame, PduType};
+use crate::profinet::blocks::Blocks;
 use crate::profinet::rt::FrameId;
+use crate::profinet::view::{Value, fault_of};
+use crate::profinet::{Octets, PnioStatus};
 
 /// What such a frame says.
 #[derive(Debug, Serialize)]
@@ -35,8 +39,12 @@ struct Header<'a> {
     acknowledge_sequence: u16,
     contents_length: usize,
     /// Why the connection ends.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    status: Option<[u8; 4]>,
+    #[serde(skip_serializing_if = "Option::is_none", serialize_with = "status")]
+    status: Option<PnioStatus>,
+    /// Of an alarm, and of the application's answer to one.
+    #[serde(skip_serializing_if = "Option::is_none", serialize_with = "blocks")]
+    blocks: Option<Blocks<'a>>,
+    /// Of other frames.
     #[serde(skip_serializing_if = "Option::is_none")]
     contents: Option<Shown<Hex<'a>>>,
 }
@@ -52,6 +60,9 @@ impl<'a> AlarmFields<'a> {
             });
             Header::of(&frame, status)
         });
+        let blocks = header.as_ref().and_then(|header| header.blocks);
+        let in_blocks = blocks.and_then(|blocks| fault_of(Value::List(&blocks)));
+        let fault = fault.or_else(|| in_blocks.map(Fault::from));
         Self { frame_id: frame_id.0, frame_id_name: frame_id.name(), header, fault }
     }
 
@@ -65,6 +76,7 @@ impl<'a> AlarmFields<'a> {
 impl<'a> Header<'a> {
     fn of(frame: &AlarmFrame<'a>, status: Option<[u8; 4]>) -> Self {
         let contents = frame.contents.rest();
+        let is_data = frame.pdu_type == PduType::Data;
         Self {
             destination_endpoint: frame.destination_endpoint,
             source_endpoint: frame.source_endpoint,
@@ -76,8 +88,9 @@ impl<'a> Header<'a> {
             send_sequence: frame.send_sequence,
             acknowledge_sequence: frame.acknowledge_sequence,
             contents_length: contents.len(),
-            status,
-            contents: (!contents.is_empty()).then_some(Shown(Hex(contents))),
+            status: status.map(|octets| u32::from_be_bytes(octets).into()),
+            blocks: is_data.then(|| Blocks::new(frame.contents)),
+            contents: (!is_data && !contents.is_empty()).then_some(Shown(Hex(contents))),
         }
     }
 }
@@ -96,11 +109,22 @@ impl Display for AlarmFields<'_> {
             header.acknowledge_sequence
         )?;
         if let Some(status) = &header.status {
-            return write!(f, ", status {}", Hex(status));
+            return write!(f, ", {status}");
+        }
+        if let Some(blocks) = &header.blocks {
+            return write_blocks(*blocks, f);
         }
         match header.contents_length {
             0 => Ok(()),
             length => write!(f, ", {length} octets"),
         }
     }
+}
+
+fn status<S: Serializer>(value: &Option<PnioStatus>, serializer: S) -> Result<S::Ok, S::Error> {
+    value.as_ref().map(|status| Fields(status)).serialize(serializer)
+}
+
+fn blocks<S: Serializer>(value: &Option<Blocks<'_>>, serializer: S) -> Result<S::Ok, S::Error> {
+    value.as_ref().map(|blocks| Elements(blocks)).serialize(serializer)
 }

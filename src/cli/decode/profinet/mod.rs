@@ -13,9 +13,7 @@ mod lldp;
 mod lldp_tlv;
 mod mrp;
 mod ptcp;
-#[cfg_attr(not(test), expect(dead_code, reason = "the decoder does not call it yet"))]
 mod rpc;
-#[cfg_attr(not(test), expect(dead_code, reason = "the decoder does not call it yet"))]
 mod rpc_fragments;
 mod rpc_value;
 mod rt;
@@ -35,6 +33,8 @@ use crate::profinet::{lldp as lldp_wire, mrp as mrp_wire};
 
 pub(super) use ethernet::{Ethernet, frame};
 pub(super) use line::FrameLine;
+pub(super) use rpc::RpcFields;
+pub(super) use rpc_fragments::RpcFragments;
 pub(super) use summary::{ProfinetReport, ProfinetSummary};
 pub(super) use words::Shown;
 
@@ -46,17 +46,19 @@ pub(super) enum Protocol {
     ProfinetRt,
     ProfinetDcp,
     ProfinetAlarm,
+    ProfinetRpc,
     Lldp,
     Mrp,
     Ptcp,
 }
 
 impl Protocol {
-    pub(super) const ALL: [Self; 7] = [
+    pub(super) const ALL: [Self; 8] = [
         Self::PNet,
         Self::ProfinetRt,
         Self::ProfinetDcp,
         Self::ProfinetAlarm,
+        Self::ProfinetRpc,
         Self::Lldp,
         Self::Mrp,
         Self::Ptcp,

@@ -240,7 +240,7 @@ fn write_heading(header: &Header, f: &mut fmt::Formatter<'_>) -> fmt::Result {
 }
 
 /// The names of the blocks, and of records what they are. A name that is repeated is counted.
-fn write_blocks(blocks: Blocks<'_>, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+pub(super) fn write_blocks(blocks: Blocks<'_>, f: &mut fmt::Formatter<'_>) -> fmt::Result {
     let mut blocks = blocks.flatten().peekable();
     let mut separator = "; ";
     while let Some(block) = blocks.next() {

@@ -3,11 +3,12 @@
 //! A number with a word becomes two fields, `name` and `name_name`; a number of parts becomes an object with
 //! `value` and the parts. Nothing here allocates.
 
-use std::fmt::{self, Display, Write as _};
+use std::fmt::{self, Display};
 
 use serde::ser::{Error as _, SerializeMap, SerializeSeq};
 use serde::{Serialize, Serializer};
 
+use super::words::{Shown, Text};
 use crate::cli::output::Hex;
 use crate::profinet::Malformed;
 use crate::profinet::view::{Each, Show, Value, bits};
@@ -16,7 +17,7 @@ use crate::profinet::view::{Each, Show, Value, bits};
 pub(super) struct Fields<'v>(pub(super) &'v dyn Show);
 
 /// Something with elements, as a list.
-struct Elements<'v>(&'v dyn Each);
+pub(super) struct Elements<'v>(pub(super) &'v dyn Each);
 
 /// A value that is one field.
 struct Plain<'v>(Value<'v>);
@@ -30,26 +31,13 @@ impl Display for NameOf {
     }
 }
 
-/// Something that is text.
-struct Text<T>(T);
-
-impl<T: Display> Serialize for Text<T> {
-    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        serializer.collect_str(&self.0)
-    }
-}
-
-/// Characters without their padding. What is not printable is `\x00`.
+/// Characters without their padding.
 pub(super) struct Characters<'a>(pub(super) &'a [u8]);
 
 impl Display for Characters<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let end = self.0.iter().rposition(|octet| !matches!(octet, 0 | b' '));
-        let text = &self.0[..end.map_or(0, |last| last + 1)];
-        text.iter().try_for_each(|octet| match octet {
-            b' '..=b'~' => f.write_char(char::from(*octet)),
-            _ => write!(f, "\\x{octet:02x}"),
-        })
+        Text(&self.0[..end.map_or(0, |last| last + 1)]).fmt(f)
     }
 }
 
@@ -76,7 +64,7 @@ fn entry<M: SerializeMap>(
         Value::Nothing => Ok(()),
         Value::Word(number, word) => {
             map.serialize_entry(name, &number)?;
-            word.map_or(Ok(()), |word| map.serialize_entry(&Text(NameOf(name)), word))
+            word.map_or(Ok(()), |word| map.serialize_entry(&Shown(NameOf(name)), word))
         }
         Value::Fault(Malformed { offset, what }) => {
             map.serialize_entry("error", what)?;

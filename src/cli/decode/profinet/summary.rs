@@ -12,7 +12,7 @@ use serde::Serialize;
 use super::ethernet::{Ethernet, Vlan};
 use super::streams::Stream;
 use super::words::Shown;
-use super::{Fields, Protocol};
+use super::{Fields, Protocol, RpcFields};
 use crate::cli::output::{duration, table};
 use crate::profinet::MacAddress;
 use crate::profinet::alarm::PduType;
@@ -80,6 +80,12 @@ impl ProfinetSummary {
         }
     }
 
+    /// Counts a datagram of RPC.
+    pub(in crate::cli::decode) fn rpc(&mut self, fields: &RpcFields<'_>) {
+        self.frames[Protocol::ProfinetRpc as usize] += 1;
+        self.malformed += u64::from(fields.fault().is_some());
+    }
+
     /// None, and counted, for a stream that has no room.
     fn row(&mut self, key: Key) -> Option<&mut Row> {
         let next = self.rows.len();
@@ -113,6 +119,7 @@ impl ProfinetSummary {
                 rt: of(Protocol::ProfinetRt),
                 dcp: of(Protocol::ProfinetDcp),
                 alarm: of(Protocol::ProfinetAlarm),
+                rpc: of(Protocol::ProfinetRpc),
                 ptcp: of(Protocol::Ptcp),
                 lldp: of(Protocol::Lldp),
                 mrp: of(Protocol::Mrp),
@@ -139,6 +146,7 @@ struct Frames {
     rt: u64,
     dcp: u64,
     alarm: u64,
+    rpc: u64,
     ptcp: u64,
     lldp: u64,
     mrp: u64,
@@ -211,11 +219,11 @@ impl StreamReport {
 
 impl Display for ProfinetReport {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Frames { rt, dcp, alarm, ptcp, lldp, mrp } = self.frames;
+        let Frames { rt, dcp, alarm, rpc, ptcp, lldp, mrp } = self.frames;
         writeln!(
             f,
-            "\nPROFINET frames: RT {rt}, DCP {dcp}, alarms {alarm}, PTCP {ptcp}, LLDP {lldp}, MRP \
-             {mrp}; malformed: {}.",
+            "\nPROFINET frames: RT {rt}, DCP {dcp}, alarms {alarm}, RPC {rpc}, PTCP {ptcp}, LLDP \
+             {lldp}, MRP {mrp}; malformed: {}.",
             self.malformed
         )?;
         if !self.streams.is_empty() {

@@ -169,26 +169,50 @@ fn a_block_that_is_cut_off_is_told_beside_those_before_it() {
 }
 
 #[test]
-fn p_10_an_alarm_has_its_connection() {
-    let payload = [0xFC, 0x01, 0, 1, 0, 2, 0x11, 0x11, 0, 5, 0xFF, 0xFE, 0, 2, 0xAA, 0xBB, 0, 0];
+fn p_10_an_alarm_has_its_connection_and_its_blocks() {
+    let header = [0xFC, 0x01, 0, 1, 0, 2, 0x11, 0x11, 0, 5, 0xFF, 0xFE, 0, 22];
+    let block =
+        [0x80, 0x01, 0, 18, 1, 0, 0, 1, 0, 0, 0, 0, 0, 3, 0, 4, 0x08, 7, 0xDA, 0x81, 0x3C, 1];
     says(
         0x8892,
-        &payload,
-        "alarm high, DATA-RTA, endpoint 2 to 1, sends 5, acknowledges 65534, 2 octets",
+        &[&header[..], &block, &[0, 0]].concat(),
+        "alarm high, DATA-RTA, endpoint 2 to 1, sends 5, acknowledges 65534; AlarmAckHigh",
         json!({
             "protocol": "profinet-alarm", "frame_id": 0xFC01, "frame_id_name": "alarm high",
             "destination_endpoint": 1, "source_endpoint": 2,
             "pdu_type": 1, "pdu_type_name": "DATA-RTA", "version": 1,
             "window_size": 1, "immediate_acknowledge": 1,
-            "send_sequence": 5, "acknowledge_sequence": 65534,
-            "contents_length": 2, "contents": "aabb",
+            "send_sequence": 5, "acknowledge_sequence": 65534, "contents_length": 22,
+            "blocks": [{
+                "type": 0x8001, "name": "AlarmAckHigh", "version": "1.0", "length": 18,
+                "alarm_type": 1, "alarm_type_name": "diagnosis", "api": 0, "slot": 3, "subslot": 4,
+                "alarm_specifier": {
+                    "value": 0x0807, "sequence_number": 7, "channel_diagnosis": true,
+                    "manufacturer_specific_diagnosis": false, "submodule_diagnosis_state": false,
+                    "ar_diagnosis_state": false,
+                },
+                "status": {
+                    "code": 218, "decode": 129, "code1": 60, "code2": 1,
+                    "words": "alarm refused: alarm acknowledge, the submodule's state does not fit",
+                },
+            }],
         }),
     );
+    // A block that is cut, and a status.
+    let cut = [&header[..13], &[4, 0x80, 0x01, 0, 18]].concat();
+    let cut = packet(0x8892, &cut);
+    let (text, _, json) = shown(&cut, cut.len());
+    assert!(text.ends_with("; malformed at octet 18: the octets end too early\n"), "{text}");
+    assert_eq!((&json["error_offset"], &json["contents_length"]), (&json!(18), &json!(4)));
     let error = [0xFE, 0x01, 0, 1, 0, 2, 0x14, 0x01, 0, 5, 0, 4, 0, 4, 0xCF, 0x81, 0xFD, 5];
     let packet = packet(0x8892, &error);
     let (text, _, json) = shown(&packet, packet.len());
-    assert!(text.contains(": alarm low, ERR-RTA, ") && text.ends_with(", status cf81fd05\n"));
-    assert_eq!(json["status"], json!([0xCF, 0x81, 0xFD, 5]));
+    let words = "alarm connection ended: RTA protocol, consumer of cyclic data timed out";
+    assert!(text.contains(": alarm low, ERR-RTA, ") && text.ends_with(&format!(", {words}\n")));
+    assert_eq!(
+        json["status"],
+        json!({"code": 0xCF, "decode": 0x81, "code1": 0xFD, "code2": 5, "words": words})
+    );
 }
 
 #[test]

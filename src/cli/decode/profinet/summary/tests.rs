@@ -4,8 +4,10 @@ use pcap_parser::Linktype;
 use serde_json::{Value, json};
 
 use super::super::ethernet::frame;
+use super::super::rpc::tests::read_api_data;
 use super::*;
 use crate::cli::decode::capture::Captured;
+use crate::profinet::ByteOrder;
 
 /// Counts a frame of this station, behind its Ethertype, after so many microseconds.
 fn count(summary: &mut ProfinetSummary, station: u16, micros: u64, behind: &[u8]) {
@@ -39,18 +41,23 @@ fn streams_have_a_row_each() {
         count(&mut summary, 8, micros, &cyclic(0x8000, cycle * 32, 0x35));
     }
     let alarm = |kind: u8| {
-        let header = [0, 1, 0, 2, kind, 0x11, 0, 5, 0xFF, 0xFE, 0, 4, 0xCF, 0x81, 0xFD, 5];
-        [&[0x88, 0x92, 0xFE, 0x01][..], &header].concat()
+        let contents: &[u8] = if kind == 0x14 { &[0xCF, 0x81, 0xFD, 5] } else { &[] };
+        let header = [0, 1, 0, 2, kind, 0x11, 0, 5, 0xFF, 0xFE, 0, contents.len() as u8];
+        [&[0x88, 0x92, 0xFE, 0x01][..], &header, contents].concat()
     };
     for kind in [0x11, 0x11, 0x13, 0x14] {
         count(&mut summary, 9, 0, &alarm(kind));
     }
     count(&mut summary, 9, 0, &[0x88, 0xCC, 0x06, 2, 0]);
+    let call = read_api_data(ByteOrder::Little);
+    for octets in [&call, &call[..163]] {
+        summary.rpc(&RpcFields::of(octets, [34964; 2]).unwrap());
+    }
     let report = summary.report();
     assert_eq!(
         report.to_string(),
         "
-PROFINET frames: RT 199, DCP 0, alarms 4, PTCP 0, LLDP 1, MRP 0; malformed: 1.
+PROFINET frames: RT 199, DCP 0, alarms 4, RPC 2, PTCP 0, LLDP 1, MRP 0; malformed: 2.
 
 | From              | To                | Frame ID | Kind       | Frames | Step | Gaps | Interval |   Jitter |     99 % | Status changes | Alarms | Aborts |
 |-------------------|-------------------|----------|------------|--------|------|------|----------|----------|----------|----------------|--------|--------|
@@ -60,7 +67,7 @@ PROFINET frames: RT 199, DCP 0, alarms 4, PTCP 0, LLDP 1, MRP 0; malformed: 1.
 "
     );
     let json: Value = serde_json::to_value(&report).unwrap();
-    assert_eq!(json["frames"]["lldp"], 1);
+    assert_eq!((&json["frames"]["lldp"], &json["frames"]["rpc"]), (&json!(1), &json!(2)));
     let stream = &json["streams"][1];
     assert_eq!((&stream["usual_step"], &stream["gaps"]), (&json!(64), &json!(1)));
     assert_eq!(stream["usual_interval_seconds"], 0.002);
