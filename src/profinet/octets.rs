@@ -51,7 +51,11 @@ impl<'a> Octets<'a> {
     /// The same octets, one level further inside: those that a block holds. Padding counts from the next
     /// octet less `header`.
     pub(super) fn inside(self, header: usize) -> Self {
-        Self { base: self.offset - header.min(self.offset), depth: self.depth + 1, ..self }
+        Self {
+            base: self.offset - header.min(self.offset),
+            depth: self.depth.saturating_add(1),
+            ..self
+        }
     }
 
     /// In how many blocks these octets are.

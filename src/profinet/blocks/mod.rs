@@ -39,7 +39,7 @@ pub use physical::{
 };
 pub use record::{
     IodReadReqHeader, IodReadResHeader, IodWriteReqHeader, IodWriteResHeader, MULTIPLE_WRITE,
-    Record, RecordIndex,
+    Record, RecordPlace,
 };
 
 pub use redundancy::{
@@ -92,8 +92,8 @@ impl<'a> Block<'a> {
     }
 
     /// Which record the header of a read or a write is for; none for another block.
-    pub fn record_index(&self) -> Option<RecordIndex> {
-        record::index(self.block_type, self.octets).map(RecordIndex)
+    pub fn record_place(&self) -> Option<RecordPlace> {
+        record::place(self.block_type, self.octets)
     }
 
     /// The record behind the header of a read answer or of a write; of another block there is none.

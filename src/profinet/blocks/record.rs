@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use super::super::records;
+use super::super::records::{self, Scope};
 use super::super::view::{Skip, View, view};
 use super::super::{Malformed, Octets, PnioStatus, Uuid};
 use super::{Block, Blocks};
@@ -123,23 +123,42 @@ pub(super) fn len_behind(block_type: u16, mut contents: Octets<'_>) -> Option<us
     contents.u32().ok().map(|len| usize::try_from(len).unwrap_or(usize::MAX))
 }
 
-/// The index in one of the four headers.
-pub(super) fn index(block_type: u16, mut contents: Octets<'_>) -> Option<u16> {
+/// The slot, subslot and index in one of the four headers.
+pub(super) fn place(block_type: u16, mut contents: Octets<'_>) -> Option<RecordPlace> {
     if !matches!(block_type, 0x0008 | 0x0009 | 0x8008 | 0x8009) {
         return None;
     }
-    contents.take(INDEX).and_then(|_| contents.u16()).ok()
+    contents.take(INDEX - 6).ok()?;
+    let [slot, subslot, _, index] = [(); 4].map(|()| contents.u16().ok());
+    Some(RecordPlace { slot: slot?, subslot: subslot?, index: index? })
 }
 
-/// Which record it is: its name where it has one.
+/// Which record it is, and of what.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct RecordIndex(pub u16);
+pub struct RecordPlace {
+    /// The slot.
+    pub slot: u16,
+    /// The subslot.
+    pub subslot: u16,
+    /// The record.
+    pub index: u16,
+}
 
-impl fmt::Display for RecordIndex {
+/// Its name, or its index where it has none, and the slot and subslot that it is of, if it is of one.
+impl fmt::Display for RecordPlace {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match records::record_name(self.0) {
-            Some(name) => f.write_str(name),
-            None => write!(f, "{:#06x}", self.0),
+        match records::record_name(self.index) {
+            Some(name) => f.write_str(name)?,
+            None => write!(f, "{:#06x}", self.index)?,
+        }
+        let scope = Scope::of(self.index);
+        if matches!(scope, Scope::User | Scope::Subslot | Scope::Slot) {
+            write!(f, " of slot {}", self.slot)?;
+        }
+        match records::subslot_words(self.subslot) {
+            _ if !matches!(scope, Scope::User | Scope::Subslot) => Ok(()),
+            Some(words) => write!(f, " {words}"),
+            None => write!(f, " subslot {}", self.subslot),
         }
     }
 }
@@ -155,7 +174,7 @@ pub enum Record<'a> {
 
 impl<'a> Record<'a> {
     pub(super) fn of(header: &Block<'_>, octets: Octets<'a>) -> Self {
-        match index(header.block_type, header.octets).unwrap_or_default() {
+        match place(header.block_type, header.octets).map_or(0, |place| place.index) {
             MULTIPLE_WRITE => Self::Blocks(Blocks::padded(octets)),
             index if records::has_blocks(index) => Self::Blocks(Blocks::new(octets)),
             _ => Self::Octets(octets),

@@ -301,6 +301,23 @@ fn p_9_a_record_follows_its_header() {
 }
 
 #[test]
+fn p_9_a_header_says_which_record_of_what_it_is_for() {
+    let place = |slot, subslot, index| RecordPlace { slot, subslot, index }.to_string();
+    assert_eq!(place(0, 1, 0xAFF0), "I&M0 of slot 0 subslot 1");
+    assert_eq!(place(0, 0x8002, 0x802A), "PDPortDataReal of slot 0 port 2 of interface 1");
+    assert_eq!(place(3, 1, 0x0064), "0x0064 of slot 3 subslot 1");
+    assert_eq!(place(3, 1, 0xC001), "RealIdentificationData of slot 3");
+    assert_eq!(place(0, 1, 0xF841), "PDRealData");
+    let header = hex(&record_header("AFF1", 0));
+    for block_type in [0x0008, 0x0009, 0x8008, 0x8009] {
+        let octets = block(block_type, 0x0100, &header);
+        let place = Some(RecordPlace { slot: 1, subslot: 0x8001, index: 0xAFF1 });
+        assert_eq!(only(&octets).record_place(), place);
+    }
+    assert_eq!(only(&block(0x0101, 0x0100, &header)).record_place(), None);
+}
+
+#[test]
 fn p_9_several_records_are_written_at_once_each_padded() {
     let write = |len: usize| {
         let header = hex(&format!("{} {}", record_header("0001", len as u32), "00".repeat(24)));

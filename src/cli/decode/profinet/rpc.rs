@@ -253,8 +253,8 @@ pub(super) fn write_blocks(blocks: Blocks<'_>, f: &mut fmt::Formatter<'_>) -> fm
             Some(name) => f.write_str(name)?,
             None => write!(f, "block {:#06x}", block.block_type)?,
         }
-        if let Some(index) = block.record_index() {
-            write!(f, " {index}")?;
+        if let Some(place) = block.record_place() {
+            write!(f, " {place}")?;
         }
         if count > 1 {
             write!(f, " ({count})")?;
