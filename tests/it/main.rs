@@ -15,6 +15,7 @@ mod commands;
 mod confinement;
 mod container;
 mod decode;
+mod decode_profinet;
 mod drops;
 mod early_signals;
 mod fail2ban;

@@ -35,6 +35,8 @@ pub(super) struct Decoder<'a, W> {
     summary: Summary,
     profinet: ProfinetSummary,
     rpc_fragments: RpcFragments,
+    /// A line of text. Its room is used again.
+    line: String,
     unknown_link: Option<i32>,
 }
 
@@ -48,6 +50,7 @@ impl<'a, W: Write> Decoder<'a, W> {
             summary: Summary::default(),
             profinet: ProfinetSummary::default(),
             rpc_fragments: RpcFragments::default(),
+            line: String::new(),
             unknown_link: None,
         }
     }
@@ -114,7 +117,12 @@ impl<'a, W: Write> Decoder<'a, W> {
         let mut output = self.output.borrow_mut();
         match self.settings.format {
             Format::Text if self.settings.is_verbose => line.write_tree(&mut *output),
-            Format::Text => line.write_text(&mut *output),
+            Format::Text => {
+                // Of many small pieces; so the output is asked only once.
+                self.line.clear();
+                line.write_text(&mut self.line).map_err(io::Error::other)?;
+                output.write_all(self.line.as_bytes())
+            }
             Format::Json => print_json(line, &mut *output),
         }
     }

@@ -1,6 +1,6 @@
 //! From a captured packet to the payload of an Ethernet frame: those frames that are not IP.
 
-use std::fmt;
+use std::fmt::{self, Display};
 
 use pcap_parser::Linktype;
 use serde::Serialize;
@@ -84,9 +84,12 @@ impl Vlan {
     }
 }
 
-impl fmt::Display for Vlan {
+impl Display for Vlan {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "VLAN {} priority {}", self.id, self.priority)
+        f.write_str("VLAN ")?;
+        self.id.fmt(f)?;
+        f.write_str(" priority ")?;
+        self.priority.fmt(f)
     }
 }
 

@@ -1,6 +1,6 @@
 //! What is printed of a frame: where it was found, and what it says.
 
-use std::fmt::Display;
+use std::fmt::{self, Display};
 use std::io::{self, Write};
 use std::time::SystemTime;
 
@@ -31,29 +31,37 @@ pub(in crate::cli::decode) struct FrameLine<A, F> {
 
 impl<A: Display, F: Display + Serialize> FrameLine<A, F> {
     /// On one line.
-    pub(in crate::cli::decode) fn write_text(&self, output: &mut impl Write) -> io::Result<()> {
-        self.heading(output)?;
-        writeln!(output)
+    pub(in crate::cli::decode) fn write_text(&self, output: &mut impl fmt::Write) -> fmt::Result {
+        writeln!(output, "{self}")
     }
 
     /// With a line for each field.
     pub(in crate::cli::decode) fn write_tree(&self, output: &mut impl Write) -> io::Result<()> {
-        self.heading(output)?;
+        write!(output, "{self}")?;
         tree::write(&self.fields, output)
     }
+}
 
-    fn heading(&self, output: &mut impl Write) -> io::Result<()> {
-        write!(output, "packet {}, ", self.frame)?;
+/// There may be millions of lines: plain calls cost a third less than `write!`.
+impl<A: Display, F: Display> Display for FrameLine<A, F> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("packet ")?;
+        self.frame.fmt(f)?;
+        f.write_str(", ")?;
         if let Some(time) = self.time {
-            write!(output, "{}, ", humantime::format_rfc3339_micros(time))?;
+            humantime::format_rfc3339_micros(time).fmt(f)?;
+            f.write_str(", ")?;
         }
-        write!(output, "{}", self.from)?;
+        self.from.fmt(f)?;
         if let Some(to) = &self.to {
-            write!(output, " > {to}")?;
+            f.write_str(" > ")?;
+            to.fmt(f)?;
         }
         if let Some(vlan) = &self.vlan {
-            write!(output, ", {vlan}")?;
+            f.write_str(", ")?;
+            vlan.fmt(f)?;
         }
-        write!(output, ": {}", self.fields)
+        f.write_str(": ")?;
+        self.fields.fmt(f)
     }
 }

@@ -105,21 +105,31 @@ impl StatusFields {
 
 impl Display for RtFields<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{} ${:04X}", self.frame_id_name, self.frame_id)?;
+        f.write_str(self.frame_id_name)?;
+        write!(f, " ${:04X}, ", self.frame_id)?;
         if let Some(status) = &self.status {
-            write!(f, ", cycle {}, {}", status.cycle_counter, status.data_status)?;
+            f.write_str("cycle ")?;
+            status.cycle_counter.fmt(f)?;
+            f.write_str(", ")?;
+            status.data_status.fmt(f)?;
             if status.transfer_status != 0 {
                 write!(f, ", transfer status ${:02X}", status.transfer_status)?;
             }
+            f.write_str(", ")?;
         }
-        write!(f, ", {} octets", self.data_length)
+        self.data_length.fmt(f)?;
+        f.write_str(" octets")
     }
 }
 
 impl Display for DataStatusFields {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(if self.data_valid { "valid" } else { "invalid" })?;
-        f.write_str(if self.provider_running { ", run" } else { ", stop" })?;
+        f.write_str(match (self.data_valid, self.provider_running) {
+            (true, true) => "valid, run",
+            (true, false) => "valid, stop",
+            (false, true) => "invalid, run",
+            (false, false) => "invalid, stop",
+        })?;
         f.write_str(if self.station_ok { ", ok" } else { ", station has a problem" })?;
         f.write_str(if self.primary { ", primary" } else { ", backup" })?;
         if self.redundancy {

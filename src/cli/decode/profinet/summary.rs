@@ -3,6 +3,7 @@
 
 use std::collections::HashMap;
 use std::fmt::{self, Display};
+use std::hash::{Hash, Hasher};
 use std::time::SystemTime;
 
 use comfy_table::CellAlignment;
@@ -22,13 +23,26 @@ use crate::profinet::rt::FrameId;
 const MOST: usize = 1024;
 
 /// Whose frames they are.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 struct Key {
     from: MacAddress,
     to: Option<MacAddress>,
     frame_id: FrameId,
     /// With planned duplication, the same frame goes both ways round the ring on two VLANs.
     vlan_id: Option<u16>,
+}
+
+impl Hash for Key {
+    /// In two numbers, since this is done for each frame. Both kinds of absence are numbers that are free.
+    fn hash<H: Hasher>(&self, state: &mut H) {
+        let number = |MacAddress([a, b, c, d, e, f]), high: u16| {
+            let [g, h] = high.to_be_bytes();
+            u64::from_be_bytes([g, h, a, b, c, d, e, f])
+        };
+        let to = self.to.unwrap_or(MacAddress([0; MacAddress::LEN]));
+        state.write_u64(number(self.from, self.frame_id.0));
+        state.write_u64(number(to, self.vlan_id.unwrap_or(u16::MAX)));
+    }
 }
 
 /// Counts of a capture.

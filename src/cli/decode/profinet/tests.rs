@@ -32,10 +32,10 @@ fn shown(packet: &[u8], length: usize) -> (String, String, Value) {
         protocol,
         fields,
     };
-    let [mut text, mut tree] = [Vec::new(), Vec::new()];
+    let (mut text, mut tree) = (String::new(), Vec::new());
     line.write_text(&mut text).unwrap();
     line.write_tree(&mut tree).unwrap();
-    let [text, tree] = [text, tree].map(|octets| String::from_utf8(octets).unwrap());
+    let tree = String::from_utf8(tree).unwrap();
     (text, tree, serde_json::from_str(&serde_json::to_string(&line).unwrap()).unwrap())
 }
 
