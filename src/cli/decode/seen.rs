@@ -10,12 +10,15 @@ use anyhow::{Context, ensure};
 use super::input::{self, Input};
 use super::packet::{self, Found};
 use super::stop::Stop;
-use super::{BUFFER, capture};
+use super::{BUFFER, capture, profinet};
+use crate::profinet::MacAddress;
 
 /// Something in a capture.
 pub(in crate::cli) enum Seen<'a> {
     /// A UDP datagram that was captured whole, in one IP packet.
     Udp { from: SocketAddr, octets: &'a [u8] },
+    /// The payload of a frame of RT or LLDP, behind its tags, as far as it was captured.
+    Frame { from: MacAddress, ether_type: u16, octets: &'a [u8] },
 }
 
 /// Calls `each` with all that is in a capture, until its end or a signal. The calling thread must be the
@@ -28,6 +31,11 @@ pub(in crate::cli) fn read_capture(
     let (stop, output) = (Stop::at_signals()?, RefCell::new(sink()));
     let input = BufReader::with_capacity(BUFFER, Input::new(file, &output, stop.clone()));
     let read = packets(input, |captured| {
+        if let Some(profinet::Ethernet { from, ether_type, octets, .. }) =
+            profinet::frame(&captured)
+        {
+            return each(Seen::Frame { from, ether_type, octets });
+        }
         if let Ok(Some(Found::Datagram(udp))) = packet::find(captured.link, captured.octets)
             && udp.octets.len() == udp.length
         {

@@ -2,11 +2,13 @@
 
 use std::net::{Ipv4Addr, SocketAddrV4};
 
-use serde::Serialize;
+use serde::{Serialize, Serializer};
+
+use crate::profinet::MacAddress;
 
 /// Submodules that are kept of one device; of the others, their number.
 pub(super) const MOST_SUBMODULES: usize = 256;
-/// Neighbours that are kept of one device.
+/// Ports and neighbours that are kept of one device.
 pub(super) const MOST_NEIGHBOURS: usize = 32;
 /// Parts of others (I&M5) that are kept of one submodule.
 pub(super) const MOST_PARTS: usize = 16;
@@ -19,15 +21,18 @@ pub(super) struct Device {
     pub(super) asked: Option<SocketAddrV4>,
     /// The port that its answers came from.
     pub(super) answered_from: Option<u16>,
-    pub(super) mac: Option<String>,
+    #[serde(serialize_with = "shown")]
+    pub(super) mac: Option<MacAddress>,
     pub(super) station_name: Option<String>,
-    /// What the endpoint mapper calls it.
+    /// What its endpoint mapper or DCP calls its kind.
     pub(super) annotation: Option<String>,
     pub(super) vendor_id: Option<u16>,
     pub(super) device_id: Option<u16>,
     pub(super) submodules: Vec<Submodule>,
     /// Submodules that were too many.
     pub(super) submodules_left_out: usize,
+    /// Ports that its LLDP frames named.
+    pub(super) ports: Vec<String>,
     pub(super) neighbours: Vec<Neighbour>,
     /// Why it told less than others.
     pub(super) error: Option<String>,
@@ -82,8 +87,8 @@ pub(super) struct Neighbour {
 
 impl Device {
     /// What devices are ordered by.
-    pub(super) fn place(&self) -> (Option<Ipv4Addr>, Option<SocketAddrV4>, Option<String>) {
-        (self.address, self.asked, self.mac.clone())
+    pub(super) fn place(&self) -> (Option<Ipv4Addr>, Option<SocketAddrV4>, Option<MacAddress>) {
+        (self.address, self.asked, self.mac)
     }
 
     /// The submodule at this place. None when there are too many.
@@ -101,11 +106,45 @@ impl Device {
         self.submodules.last_mut()
     }
 
+    /// Takes what else is known of the same device. What is newer counts.
+    pub(super) fn absorb(&mut self, other: Self) {
+        fn newer<T>(old: &mut Option<T>, new: Option<T>) {
+            if new.is_some() {
+                *old = new;
+            }
+        }
+        newer(&mut self.address, other.address);
+        newer(&mut self.mac, other.mac);
+        newer(&mut self.station_name, other.station_name);
+        newer(&mut self.annotation, other.annotation);
+        newer(&mut self.vendor_id, other.vendor_id);
+        newer(&mut self.device_id, other.device_id);
+        if self.submodules.is_empty() {
+            self.submodules = other.submodules;
+        }
+        other.ports.into_iter().for_each(|port| self.port(port));
+        other.neighbours.into_iter().for_each(|neighbour| self.neighbour(neighbour));
+    }
+
+    /// Notes a port, unless it is known or there are too many.
+    pub(super) fn port(&mut self, port: String) {
+        if self.ports.len() < MOST_NEIGHBOURS && !self.ports.contains(&port) {
+            self.ports.push(port);
+        }
+    }
+
     /// Notes a neighbour, unless it is known or there are too many.
     pub(super) fn neighbour(&mut self, neighbour: Neighbour) {
         if self.neighbours.len() < MOST_NEIGHBOURS && !self.neighbours.contains(&neighbour) {
             self.neighbours.push(neighbour);
         }
+    }
+}
+
+fn shown<S: Serializer>(mac: &Option<MacAddress>, serializer: S) -> Result<S::Ok, S::Error> {
+    match mac {
+        Some(mac) => serializer.collect_str(mac),
+        None => serializer.serialize_none(),
     }
 }
 

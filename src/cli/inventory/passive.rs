@@ -1,5 +1,6 @@
-//! What a capture says of devices: answers to others that read their records, and of endpoint mappers.
-//! Nobody is asked. Invariant: what is kept has a limit, whatever the capture holds.
+//! What a capture says of devices: answers to others that read their records, of endpoint mappers and of
+//! DCP, and what LLDP tells of a port. Nobody is asked. Invariant: what is kept has a limit, whatever the
+//! capture holds.
 
 use std::collections::VecDeque;
 use std::net::{Ipv4Addr, SocketAddr};
@@ -8,9 +9,12 @@ use super::assembly::{Added, Assembly};
 use super::device::{Device, text};
 use super::identification;
 use crate::cli::decode::Seen;
+use crate::profinet::dcp::{Dcp, DcpValue, ServiceId, ServiceType};
 use crate::profinet::endpoint_mapper::{LOOKUP, LookupAnswer};
+use crate::profinet::lldp::{self, Address, Lldp, LldpValue, Names, OrganisationValue};
 use crate::profinet::rpc::{Header, Interface, PacketType, ReadImplicit, Rpc};
-use crate::profinet::{ObjectUuid, Uuid, ndr};
+use crate::profinet::rt::{self, FrameId, FrameKind};
+use crate::profinet::{MacAddress, ObjectUuid, Octets, Uuid, ndr};
 
 /// Devices that are kept.
 const MOST_DEVICES: usize = 4096;
@@ -41,7 +45,95 @@ impl Passive {
                     self.answer(*from.ip(), &rpc);
                 }
             }
-            Seen::Udp { .. } => {}
+            Seen::Frame { from, ether_type: rt::ETHER_TYPE, octets } => self.rt(from, octets),
+            Seen::Frame { from, ether_type: lldp::ETHER_TYPE, octets } => self.lldp(from, octets),
+            Seen::Udp { .. } | Seen::Frame { .. } => {}
+        }
+    }
+
+    /// Answers of DCP, and what a device says when it starts.
+    fn rt(&mut self, from: MacAddress, octets: &[u8]) {
+        let mut octets = Octets::new(octets);
+        let Ok(FrameKind::Dcp(_)) = octets.u16().map(|id| FrameId(id).kind()) else { return };
+        let Ok(dcp) = Dcp::parse(octets) else { return };
+        let tells = match (dcp.service_id, dcp.service_type) {
+            (ServiceId::Hello, _) => true,
+            (ServiceId::Identify | ServiceId::Get, service_type) => {
+                service_type == ServiceType::Success
+            }
+            _ => false,
+        };
+        if !tells {
+            return;
+        }
+        let mut told = Device { mac: Some(from), ..Device::default() };
+        for block in dcp.blocks().filter_map(Result::ok) {
+            match (block.option, block.suboption, block.value) {
+                (1, 2, DcpValue::Ip(ip)) | (1, 3, DcpValue::IpSuite(ip, _)) => {
+                    told.address = Some(ip.address).filter(|address| !address.is_unspecified());
+                }
+                (2, 1, DcpValue::Text(kind)) => told.annotation = text(kind),
+                (2, 2, DcpValue::Text(name)) => told.station_name = text(name),
+                (2, 3, DcpValue::DeviceId { vendor_id, device_id }) => {
+                    (told.vendor_id, told.device_id) = (Some(vendor_id), Some(device_id));
+                }
+                _ => {}
+            }
+        }
+        self.join(told);
+    }
+
+    /// What a port says of itself. The frame comes from the port, which has an address of its own.
+    fn lldp(&mut self, from: MacAddress, octets: &[u8]) {
+        let (mut chassis, mut port, mut mac) = (None, None, None);
+        for tlv in Lldp::new(octets).tlvs().filter_map(Result::ok) {
+            match tlv.value {
+                LldpValue::ChassisId(id) => match id.value {
+                    Address::Text(name) => chassis = Some(name),
+                    Address::Mac(address) => mac = mac.or(Some(address)),
+                    _ => {}
+                },
+                LldpValue::PortId(id) => {
+                    if let Address::Text(name) = id.value {
+                        port = Some(name);
+                    }
+                }
+                LldpValue::Organisation {
+                    value: OrganisationValue::ChassisMac(address), ..
+                } => {
+                    mac = Some(address);
+                }
+                _ => {}
+            }
+        }
+        let Some(names) = port.and_then(|port| Names::of(chassis.unwrap_or_default(), port)) else {
+            return; // not of PROFINET
+        };
+        self.join(Device {
+            mac: mac.or(Some(from)),
+            station_name: text(names.station.as_bytes()),
+            ports: text(names.port.as_bytes()).into_iter().collect(),
+            ..Device::default()
+        });
+    }
+
+    /// Adds what is told to the device with this MAC address, or else with this address.
+    fn join(&mut self, told: Device) {
+        let with_mac = self.devices.iter().position(|device| device.mac == told.mac);
+        let with_address = told.address.and_then(|address| {
+            let is_it = |device: &Device| device.address == Some(address) && device.mac.is_none();
+            self.devices.iter().position(is_it)
+        });
+        match (with_mac, with_address) {
+            (Some(at), None) | (None, Some(at)) => self.devices[at].absorb(told),
+            (Some(at), Some(other)) => {
+                self.devices[at].absorb(told);
+                let other = self.devices.remove(other);
+                let at = if at > with_address.unwrap_or(at) { at - 1 } else { at };
+                self.devices[at].absorb(other);
+            }
+            (None, None) if self.devices.len() == MOST_DEVICES => self.left_out += 1,
+            (None, None) => self.devices.push(told),
         }
     }
 

@@ -5,7 +5,7 @@ use std::io::{self, Write, stdout};
 use comfy_table::ContentArrangement;
 use terminal_size::terminal_size_of;
 
-use super::device::{Device, Submodule};
+use super::device::{Device, Neighbour, Submodule};
 use crate::cli::output::{print_json, table};
 use crate::profinet::rpc::PORT;
 
@@ -32,7 +32,7 @@ macro_rules! column {
 
 const COLUMNS: &[Column] = &[
     column!("address", Some("Address"), |device, _| address(device)),
-    column!("mac", None, |device, _| device.mac.clone()),
+    column!("mac", Some("MAC address"), |device, _| Some(device.mac?.to_string())),
     column!("station_name", Some("Station"), |device, _| device.station_name.clone()),
     column!("annotation", None, |device, _| device.annotation.clone()),
     column!("vendor_id", Some("Vendor"), |device, submodule| {
@@ -108,35 +108,45 @@ fn print_text(devices: &[Device], out: &mut impl Write) -> io::Result<()> {
     writeln!(out, "{table}")?;
     print_neighbours(devices, out)?;
     for device in devices {
-        let name = || address(device).or_else(|| device.mac.clone()).unwrap_or_default();
         if let Some(error) = &device.error {
-            writeln!(out, "{}: {error}", name())?;
+            writeln!(out, "{}: {error}", name(device))?;
         }
         if device.submodules_left_out > 0 {
-            writeln!(out, "{}: {} more submodules", name(), device.submodules_left_out)?;
+            writeln!(out, "{}: {} more submodules", name(device), device.submodules_left_out)?;
         }
     }
     Ok(())
 }
 
+/// A line for each port that has a neighbour, or that LLDP named.
 fn print_neighbours(devices: &[Device], out: &mut impl Write) -> io::Result<()> {
-    let text = |text: &Option<String>| text.clone().unwrap_or_default();
-    let rows: Vec<_> = devices
-        .iter()
-        .flat_map(|device| {
-            let name = device.station_name.clone().or_else(|| address(device));
-            let name = name.or_else(|| device.mac.clone()).unwrap_or_default();
-            device.neighbours.iter().map(move |neighbour| {
-                let [port, station, their_port] =
-                    [&neighbour.port, &neighbour.station_name, &neighbour.their_port].map(text);
-                vec![name.clone(), port, station, their_port]
-            })
-        })
-        .collect();
+    let rows = devices.iter().flat_map(|device| {
+        let station = device.station_name.clone().unwrap_or_else(|| name(device));
+        let known = device.neighbours.iter().map(neighbour);
+        let alone = device.ports.iter().filter(|port| {
+            !device.neighbours.iter().any(|neighbour| neighbour.port.as_ref() == Some(port))
+        });
+        let alone = alone.map(|port| [port.clone(), String::new(), String::new()]);
+        let rows: Vec<_> = known.chain(alone).collect();
+        rows.into_iter().map(move |row| [vec![station.clone()], row.into()].concat())
+    });
+    let rows: Vec<Vec<String>> = rows.collect();
     if rows.is_empty() {
         return Ok(());
     }
     writeln!(out, "\n{}", table(vec!["Station", "Port", "Neighbour", "Its port"], &rows))
+}
+
+/// Own port, station and port of a neighbour.
+fn neighbour(neighbour: &Neighbour) -> [String; 3] {
+    [&neighbour.port, &neighbour.station_name, &neighbour.their_port]
+        .map(|text| text.clone().unwrap_or_default())
+}
+
+/// Address, or what else there is.
+fn name(device: &Device) -> String {
+    let mac = || device.mac.map(|mac| mac.to_string());
+    address(device).or_else(mac).unwrap_or_default()
 }
 
 /// RFC 4180, with neighbours in one cell.
@@ -155,10 +165,8 @@ fn print_csv(devices: &[Device], out: &mut impl Write) -> io::Result<()> {
 }
 
 fn neighbours(device: &Device) -> String {
-    let text = |text: &Option<String>| text.clone().unwrap_or_default();
-    let one = device.neighbours.iter().map(|neighbour| {
-        let [port, station, their_port] =
-            [&neighbour.port, &neighbour.station_name, &neighbour.their_port].map(text);
+    let one = device.neighbours.iter().map(|it| {
+        let [port, station, their_port] = neighbour(it);
         format!("{port} to {station} {their_port}")
     });
     one.collect::<Vec<_>>().join("; ")

@@ -21,9 +21,9 @@ pub(in crate::cli::decode) struct Ethernet<'a> {
     pub(in crate::cli::decode) to: Option<MacAddress>,
     /// The innermost tag.
     pub(in crate::cli::decode) vlan: Option<Vlan>,
-    pub(super) ether_type: u16,
+    pub(in crate::cli::decode) ether_type: u16,
     /// Its payload, as far as it was captured.
-    pub(super) octets: &'a [u8],
+    pub(in crate::cli::decode) octets: &'a [u8],
     /// Octets of the payload that was sent.
     pub(super) length: usize,
 }

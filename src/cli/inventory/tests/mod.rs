@@ -15,7 +15,7 @@ use super::print::{Format, print};
 use super::scan::{Pace, Scan};
 use crate::cli::decode::Seen;
 use crate::profinet::rpc::{Interface, PacketType, Rpc};
-use crate::profinet::{ByteOrder, Uuid};
+use crate::profinet::{ByteOrder, MacAddress, Uuid};
 use device::{Datagram, FakeDevice};
 
 const PACE: Pace =
@@ -242,7 +242,91 @@ fn a_capture_of_endless_devices_takes_no_endless_memory() {
     assert_eq!(passive.into_devices().len(), 4096);
 }
 
+const MAC: MacAddress = MacAddress([2, 0, 0, 0, 0, 7]);
+/// Identify response: name of station "press-3", vendor 0x1F2E, device 0x0042, 172.17.17.7.
+const IDENTIFY: &[u8] = b"\xfe\xff\x05\x01\x00\x00\x00\x07\x00\x00\x00\x2a\
+    \x02\x02\x00\x09\x00\x00press-3\x00\x02\x03\x00\x06\x00\x00\x1f\x2e\x00\x42\
+    \x01\x02\x00\x0e\x00\x01\xac\x11\x11\x07\xff\xff\xff\x00\xac\x11\x11\x07";
+/// Port port-001 of press-3, whose interface is [`MAC`].
+const LLDP: &[u8] = b"\x02\x08\x07press 3\x04\x11\x07port-001.press-3\x06\x02\x00\x14\
+    \xfe\x0a\x00\x0e\xcf\x05\x02\x00\x00\x00\x00\x07\x00\x00";
+
+fn rt(octets: &[u8]) -> Seen<'_> {
+    Seen::Frame { from: MAC, ether_type: 0x8892, octets }
+}
+
+/// P-3, P-11: what DCP and LLDP tell belongs to the device that others read records of, in any order.
+#[test]
+fn p_3_p_11_names_from_dcp_and_ports_from_lldp_join_a_device() {
+    let (start, mut answers) = (Instant::now(), Vec::new());
+    let mut fake = FakeDevice::default();
+    run(scan(&["172.17.17.7:34964"], start), start, |to, octets| {
+        answers.extend(fake.answer(to, octets));
+        answers.last().map(|answer| (to, answer.clone())).into_iter().collect()
+    });
+    let records = |passive: &mut Passive| {
+        let from = at("172.17.17.7:9001").into();
+        answers.iter().for_each(|octets| passive.note(&Seen::Udp { from, octets }));
+    };
+    // The frames of a port have an address of their own.
+    let of_port = MacAddress([2, 0, 0, 0, 0, 8]);
+    let lldp = |passive: &mut Passive| {
+        passive.note(&Seen::Frame { from: of_port, ether_type: 0x88CC, octets: LLDP });
+    };
+    let dcp = |passive: &mut Passive| passive.note(&rt(IDENTIFY));
+    let orders: [[&dyn Fn(&mut Passive); 3]; 4] = [
+        [&records, &lldp, &dcp],
+        [&dcp, &records, &lldp],
+        [&lldp, &records, &dcp],
+        [&lldp, &dcp, &records],
+    ];
+    for order in orders {
+        let mut passive = Passive::default();
+        order.iter().for_each(|step| step(&mut passive));
+        let devices = passive.into_devices();
+        let [device] = &devices[..] else { panic!("{devices:?}") };
+        assert_eq!((device.mac, device.address), (Some(MAC), Some([172, 17, 17, 7].into())));
+        assert_eq!(device.station_name.as_deref(), Some("press-3"));
+        assert_eq!((device.vendor_id, device.device_id), (Some(0x1F2E), Some(0x42)));
+        assert_eq!((&device.ports[..], device.submodules.len()), (&["port-001".to_owned()][..], 2));
+    }
+}
+
+/// Requests say what somebody wants, and a name without its device is nobody's.
+#[test]
+fn requests_of_dcp_and_frames_of_others_are_no_devices() {
+    let mut passive = Passive::default();
+    for (at, value) in [(3, 0), (2, 4), (0, 0x80)] {
+        let mut octets = IDENTIFY.to_vec();
+        octets[at] = value;
+        passive.note(&rt(&octets));
+    }
+    let switch = b"\x02\x05\x07core\x04\x05\x07eth0\x06\x02\x00\x14\x00\x00";
+    passive.note(&Seen::Frame { from: MAC, ether_type: 0x88CC, octets: switch });
+    assert_eq!(passive.into_devices(), []);
+}
+
 proptest! {
+    #[test]
+    fn no_frames_bring_it_down(
+        changes in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 0..6),
+        end in any::<prop::sample::Index>(),
+    ) {
+        let mut passive = Passive::default();
+        for (ether_type, frame) in [(0x8892, IDENTIFY), (0x88CC, LLDP)] {
+            let mut octets = frame.to_vec();
+            for (place, value) in &changes {
+                let place = place.index(octets.len());
+                octets[place] = *value;
+            }
+            octets.truncate(end.index(octets.len() + 1));
+            for from in [MAC, MacAddress([2, 0, 0, 0, 0, 9])] {
+                passive.note(&Seen::Frame { from, ether_type, octets: &octets });
+            }
+        }
+        printed(&passive.into_devices(), Format::Csv);
+    }
+
     /// Whatever a device sends, the scan comes to its end, and what it keeps can be printed.
     #[test]
     fn no_octets_bring_it_down(
