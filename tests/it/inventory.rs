@@ -8,8 +8,8 @@ use pnet_nat::profinet::{ByteOrder, Uuid};
 use serde_json::Value;
 
 use crate::harness::{
-    IDENTIFICATION, IoDevice, PATIENCE, PNIO_PORT, Process, Site, Terminal, eventually,
-    has_profinet_peers, pcap, pnet_nat, profinet_peer,
+    IDENTIFICATION, IoDevice, PATIENCE, PNIO_PORT, Process, Site, Terminal, eventually, frame,
+    has_profinet_peers, header, pcap, pnet_nat, profinet_peer,
 };
 
 /// What the command prints. It has to end with this exit code.
@@ -153,6 +153,42 @@ fn a_capture_of_another_reader_gives_the_same() {
     }
     let text = inventory(&[file], 0).stdout();
     assert!(text.contains("PUMP-4711") && text.ends_with("Devices: 1\n"), "{text}");
+}
+
+/// P-3: an answer of DCP behind a VLAN tag, as Ethernet carries it.
+#[test]
+fn p_3_a_capture_of_ethernet_tells_names_and_addresses() {
+    let frame_of = |name: &[u8; 8], last: u8| {
+        let block = |option: [u8; 2], contents: &[u8]| {
+            let length = (contents.len() as u16 + 2).to_be_bytes();
+            [&option[..], &length, &[0, 0], contents].concat()
+        };
+        let address = [172, 17, 17, last];
+        let ip = [address, [255, 255, 255, 0], address].concat();
+        let blocks =
+            [block([2, 2], name), block([2, 3], &[0x1F, 0x2E, 0, last]), block([1, 2], &ip)]
+                .concat();
+        let ethernet = [&[2, 0, 0, 0, 0, 1][..], &[2, 0, 0, 0, 0, last]].concat();
+        let tagged = [0x81, 0, 0xC0, 0, 0x88, 0x92, 0xFE, 0xFF, 5, 1, 0, 0, 0, 9, 0, 0];
+        let octets =
+            [&ethernet[..], &tagged, &(blocks.len() as u16).to_be_bytes(), &blocks].concat();
+        frame(&octets, octets.len())
+    };
+    let mut file = header();
+    file[20] = 1; // Ethernet
+    let frames = [frame_of(b"valve-20", 20), frame_of(b"valve-04", 4), frame_of(b"valve-20", 20)];
+    file.extend(frames.concat());
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("capture.pcap");
+    fs::write(&path, file).unwrap();
+    let csv = inventory(&[path.to_str().unwrap(), "--format", "csv"], 0).stdout();
+    let rows: Vec<_> = csv.lines().skip(1).collect();
+    let row = |name: &str, last: u8| {
+        format!(
+            "172.17.17.{last},02:00:00:00:00:{last:02x},{name},,0x1f2e,{last:#06x},,,,,,,,,,,,,,,,"
+        )
+    };
+    assert_eq!(rows, [row("valve-04", 4), row("valve-20", 20)]);
 }
 
 #[test]
