@@ -113,7 +113,10 @@ impl<'a, W: Write> Decoder<'a, W> {
         })
     }
 
-    fn print<A: Display, F: Display + Serialize>(&self, line: &FrameLine<A, F>) -> io::Result<()> {
+    fn print<A: Display, F: Display + Serialize>(
+        &mut self,
+        line: &FrameLine<A, F>,
+    ) -> io::Result<()> {
         let mut output = self.output.borrow_mut();
         match self.settings.format {
             Format::Text if self.settings.is_verbose => line.write_tree(&mut *output),

@@ -117,23 +117,22 @@ impl Passive {
         });
     }
 
-    /// Adds what is told to the device with this MAC address, or else with this address.
-    fn join(&mut self, told: Device) {
-        let with_mac = self.devices.iter().position(|device| device.mac == told.mac);
-        let with_address = told.address.and_then(|address| {
-            let is_it = |device: &Device| device.address == Some(address) && device.mac.is_none();
-            self.devices.iter().position(is_it)
-        });
-        match (with_mac, with_address) {
-            (Some(at), None) | (None, Some(at)) => self.devices[at].absorb(told),
-            (Some(at), Some(other)) => {
-                self.devices[at].absorb(told);
-                let other = self.devices.remove(other);
-                let at = if at > with_address.unwrap_or(at) { at - 1 } else { at };
-                self.devices[at].absorb(other);
-            }
-            (None, None) if self.devices.len() == MOST_DEVICES => self.left_out += 1,
-            (None, None) => self.devices.push(told),
+    /// Adds what is told to the device with this MAC address, and to the one that was known by its address
+    /// alone.
+    fn join(&mut self, mut told: Device) {
+        let is_its_address = |device: &Device| {
+            device.mac.is_none() && device.address.is_some() && device.address == told.address
+        };
+        if let Some(at) = self.devices.iter().position(is_its_address) {
+            let mut known = self.devices.swap_remove(at);
+            known.absorb(told);
+            told = known;
+        }
+        let is_full = self.devices.len() == MOST_DEVICES;
+        match self.devices.iter_mut().find(|device| device.mac == told.mac) {
+            Some(device) => device.absorb(told),
+            None if is_full => self.left_out += 1,
+            None => self.devices.push(told),
         }
     }
 

@@ -11,12 +11,12 @@ use std::collections::BTreeSet;
 use std::fmt::{self, Write};
 use std::thread;
 
-use serde_json::Value;
+use serde_json::{Value, json};
 use through::{DEVICE, Through, start_relay};
 
 use crate::harness::{
     IDENTIFICATION, IoDevice, Network, PNIO_PORT, Packet, Process, eventually, has_nft,
-    has_profinet_peers, profinet_peer,
+    has_profinet_peers, pnet_nat, profinet_peer,
 };
 
 /// One thing that controllers do.
@@ -44,6 +44,8 @@ enum Controller {
     Scapy(&'static str, &'static str),
     /// `scapy_peer.py` reads at the port that the endpoint mapper tells.
     Mapped,
+    /// `pnet-nat inventory`.
+    Inventory,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -55,7 +57,7 @@ enum Outcome {
 }
 use Outcome::{FromInside, NoAnswer, Works};
 
-const EXCHANGES: [Exchange; 10] = [
+const EXCHANGES: [Exchange; 11] = [
     Exchange {
         what: "a device that answers from port 34964",
         device: Device::Pnio(PNIO_PORT),
@@ -146,6 +148,15 @@ const EXCHANGES: [Exchange; 10] = [
         masquerade: NoAnswer,
         relay: NoAnswer,
     },
+    Exchange {
+        what: "`pnet-nat inventory` asks a device that answers from another port",
+        device: Device::Pnio(9001),
+        controller: Controller::Inventory,
+        direct: Works,
+        port_forward: NoAnswer,
+        masquerade: NoAnswer,
+        relay: Works,
+    },
 ];
 
 impl Exchange {
@@ -219,6 +230,14 @@ impl Controller {
                 let port = endpoints.iter().find(is_device).unwrap()["port"].as_u64().unwrap();
                 assert_eq!(port, 49200);
                 run("scapy_peer", &format!("read {}", through.asked_at(port as u16)))
+            }
+            Self::Inventory => {
+                let arguments = ["inventory", &asked, "--timeout", "2s", "--format", "json"];
+                let start = || Process::start(pnet_nat(&arguments));
+                let mut process = through.controllers(network).enter(start);
+                process.end();
+                let is_found = process.stdout().contains("\"PUMP-4711\"");
+                json!({ "problems": if is_found { json!([]) } else { json!(["no answer"]) } })
             }
         }
     }
