@@ -43,6 +43,17 @@ fn a_remote_net_is_shown_with_its_addresses_here_and_there() {
 }
 
 #[test]
+fn a_profinet_device_is_shown_with_its_records() {
+    let folder = folder(
+        "[public]\nlisten = [\"192.0.2.1\"]\n[[profinet_device]]\nname = \"drive-7\"\n\
+         public_port = 45007\naddress = \"127.17.17.7\"\nallow = [\"198.51.100.0/28\"]\n",
+    );
+    let mut checked = check(folder.path(), &["--config", "pnet-nat.toml"]);
+    assert_eq!((checked.end(), checked.stderr().as_str()), (Some(0), ""));
+    insta::assert_snapshot!(checked.stdout());
+}
+
+#[test]
 fn full_shows_a_line_for_each_node() {
     let folder = folder(&annotated());
     let mut checked = check(folder.path(), &["--config", "pnet-nat.toml", "--full"]);

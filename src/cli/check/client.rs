@@ -10,7 +10,7 @@ use comfy_table::Table;
 
 use crate::cli::output::plain_table;
 use crate::config::{Config, ip_net_as_toml};
-use crate::nat::{Mapping, Net, NetKind};
+use crate::nat::{Mapping, Net, NetKind, Record};
 use crate::pnet::ip_net_table::{Fields, Nettype};
 use crate::pnet::wire::{IpNetId, LAST_START_PORT, NORMAL_PORT};
 
@@ -162,6 +162,25 @@ fn rows(config: &Config) -> impl Iterator<Item = Row<'_>> {
             only: (net.kind == NetKind::Server).then_some(first.node_address),
         })
     })
+}
+
+/// What clients of PROFINET devices need to know; empty where there is no device.
+pub(super) fn profinet(config: &Config) -> String {
+    let address = public_address(&config.listen);
+    let devices = config.table.mappings().iter().filter_map(|mapping| {
+        let net = config.table.net(mapping.net);
+        let NetKind::ProfinetDevice { records } = net.kind else { return None };
+        let records: Vec<_> = records.iter().map(Record::label).collect();
+        let (name, port) = (&net.name, mapping.public_port);
+        Some(format!("{name}: port {port}; records {}\n", records.join(", ")))
+    });
+    let devices: String = devices.collect();
+    if devices.is_empty() {
+        return devices;
+    }
+    format!(
+        "PROFINET devices, at {address}. What clients may read there, and they may do nothing else:\n\n{devices}"
+    )
 }
 
 /// Public port - node address, where that is the UDPPort of a legal row (A15).

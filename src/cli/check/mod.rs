@@ -16,7 +16,7 @@ use ipnet::{IpNet, Ipv4Net};
 use super::output::{out, plain_table};
 use super::{BAD_USE, complain, load, told};
 use crate::config::{self, Config, Warning};
-use crate::nat::{Mapping, NetKind};
+use crate::nat::{Mapping, Net, NetKind};
 use crate::sandbox::{self, User, UserError};
 
 /// Check a configuration: show every fault, or the NAT table and the clients' IPNetTable rows.
@@ -72,14 +72,31 @@ fn read(path: &Path) -> Result<(Config, Vec<Warning>), ExitCode> {
 
 fn summary(config: &Config, full: bool) -> String {
     let listen: Vec<_> = config.listen.iter().map(IpAddr::to_string).collect();
-    let who = if listen.is_empty() { "local program" } else { "remote client" };
     let on = if listen.is_empty() { String::new() } else { format!(", on {}", listen.join(", ")) };
+    let parts = [
+        format!(
+            "The configuration has no faults. The NAT table{on}:\n\n{}\n",
+            nat_table(config, full)
+        ),
+        for_clients(config),
+        client::profinet(config),
+    ];
+    parts.into_iter().filter(|part| !part.is_empty()).collect::<Vec<_>>().join("\n")
+}
+
+/// What clients of P-NET enter; empty where there is nothing for them.
+fn for_clients(config: &Config) -> String {
+    let is_p_net = |net: &Net| !matches!(net.kind, NetKind::ProfinetDevice { .. });
+    if !config.table.nets().iter().any(is_p_net) {
+        return String::new();
+    }
     let has_remote_nets = config.table.nets().iter().any(|net| net.kind.is_remote());
     let local = if has_remote_nets {
         "A row of Nettype IPRange is for programs on this side, which send without a password.\n"
     } else {
         ""
     };
+    let who = if config.listen.is_empty() { "local program" } else { "remote client" };
     let remarks = client::remarks_on_servers(config).chain(remarks_on_clients(config));
     let remarks: Vec<_> = remarks.map(|remark| remark + "\n").collect();
     let toml = client::toml(config).map_or_else(
@@ -87,12 +104,9 @@ fn summary(config: &Config, full: bool) -> String {
         |toml| format!("The same as a file for `pnet-nat translate`:\n\n{toml}"),
     );
     format!(
-        "The configuration has no faults. The NAT table{}:\n\n{}\n\n\
-         What a {who} enters in its IPNetTable:\n\n{}\n\n\
+        "What a {who} enters in its IPNetTable:\n\n{}\n\n\
          Router: the node address of the router on the client's own net, as the client has it.\n{local}{}\n\
          {toml}",
-        on,
-        nat_table(config, full),
         client::ip_net_table(config),
         remarks.concat(),
     )
@@ -109,7 +123,7 @@ fn nat_table(config: &Config, full: bool) -> Table {
         table.add_row([
             public_ports(first, last),
             servers(first.server, last.server),
-            span(first.node_address, last.node_address),
+            nodes(first, last),
             name,
         ]);
     }
@@ -140,6 +154,14 @@ fn remarks_on_clients(config: &Config) -> impl Iterator<Item = String> {
             )
         })
     })
+}
+
+/// The node addresses of a run; a PROFINET device has none.
+fn nodes(first: &Mapping, last: &Mapping) -> String {
+    match first.node_address {
+        0 => "–".to_owned(),
+        node => span(node, last.node_address),
+    }
 }
 
 /// The ports of consecutive nodes: `40001-40004`, or in a remote net `127.17.2.1-4:34378`.
