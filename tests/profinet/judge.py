@@ -255,11 +255,11 @@ def protocol_of(protocols, frame_id):
     return None
 
 
-def at(values, path):
-    """The values at a path of an object."""
+def at(values, path, inside):
+    """The values at a path of an object, which has these objects inside."""
     for step in re.findall(r"\[[^\]]*\]|[^.\[\]]+", path):
         if step == "**":
-            values = [inner for value in values for inner in objects(value)]
+            values = inside
         elif step == "[]":
             values = [item for value in values for item in value]
         elif step.startswith("["):
@@ -335,14 +335,15 @@ def judge(program, capture):
         if shown is None:
             continue
         counts["frames"] += 1
+        inside = objects(shown)
         for field in FIELDS:
             if protocol in field.protocol:
-                compare(frame, field, shown, values[field.field], counts, problems)
+                compare(frame, field, shown, inside, values[field.field], counts, problems)
     return counts, problems
 
 
-def compare(frame, field, shown, printed, counts, problems):
-    here = [field.ours(value) for value in at([shown], field.path)]
+def compare(frame, field, shown, inside, printed, counts, problems):
+    here = [field.ours(value) for value in at([shown], field.path, inside)]
     there = field.theirs([field.read(value) for value in printed.split(MORE)] if printed else [])
     if not here and not there:
         return
