@@ -7,7 +7,7 @@
 use std::fs;
 use std::path::Path;
 
-use pnet_nat_rig::targets::{codec, configuration, core, endpoints, ip_net_table};
+use pnet_nat_rig::targets::{codec, configuration, core, endpoints, ip_net_table, profinet_rpc};
 use proptest::collection::vec;
 use proptest::prelude::*;
 use proptest::sample::{Index, select};
@@ -36,6 +36,11 @@ fn any_text_or_octets_are_an_ip_net_table_or_told_why_not() {
 #[test]
 fn any_datagrams_are_answered_or_ignored_by_the_endpoints() {
     survives("endpoints", endpoints::holds);
+}
+
+#[test]
+fn any_octets_are_read_or_refused_as_rpc_of_profinet() {
+    survives("profinet_rpc", profinet_rpc::holds);
 }
 
 /// Every file of a target's corpus, then changes of them.

@@ -9,3 +9,4 @@ pub mod configuration;
 pub mod core;
 pub mod endpoints;
 pub mod ip_net_table;
+pub mod profinet_rpc;
