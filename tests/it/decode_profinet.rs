@@ -130,6 +130,7 @@ fn a_tree_has_all_that_json_has() {
             "    transfer status: 0",
             "    data length: 40",
             &format!("    data: {zeros}"),
+            "    submodules: none",
         ]
     );
 }

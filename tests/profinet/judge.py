@@ -83,6 +83,8 @@ FIELDS = [
     Field(CYCLIC, "pn_rt.ds_ok", "data_status.station_ok"),
     Field(CYCLIC, "pn_rt.ds_ignore", "data_status.ignore"),
     Field(CYCLIC, "pn_rt.transfer_status", "transfer_status"),
+    Field(CYCLIC, "pn_io.ioxs", "submodules[].status"),
+    Field(CYCLIC, "pn_io.ioxs.datastate", "submodules[].good"),
     Field(ALARM, "pn_io.alarm_dst_endpoint", "destination_endpoint"),
     Field(ALARM, "pn_io.alarm_src_endpoint", "source_endpoint"),
     Field(ALARM, "pn_io.pdu_type.type", "pdu_type"),
@@ -223,6 +225,21 @@ def servers(*places):
 
     return may_differ
 
+
+def behind_a_gap(shown, here, there):
+    """The parts that tshark has not are behind octets that belong to none."""
+    parts = shown["submodules"] or []
+    if here[: len(there)] != there or not 0 < len(there) < len(parts):
+        return False
+    last, first = parts[len(there) - 1], parts[len(there)]
+    return last["offset"] + len(last.get("data", "")) // 2 + 1 < first["offset"]
+
+
+explain(
+    ["pn_io.ioxs", "pn_io.ioxs.datastate"],
+    behind_a_gap,
+    "tshark cuts cyclic data up to the first gap between two parts",
+)
 
 IP_SUITE = "tshark prints the name servers of a full IP suite as address, mask and gateways"
 explain(["pn_dcp.suboption_ip_ip"], servers(0), IP_SUITE)

@@ -1,7 +1,6 @@
 //! From captured packets and lines of text to what is printed.
 
 use std::cell::RefCell;
-use std::fmt::Display;
 use std::io::{self, Write};
 use std::net::SocketAddr;
 use std::time::SystemTime;
@@ -15,9 +14,10 @@ use super::fragments::{Broken, Fragments, Outcome, Partial};
 use super::line::{Line, Locator, Reason, Unanswered};
 use super::packet::{self, Found, Udp};
 use super::pairing::{Asked, Pairing, Request};
+use super::printer::Printer;
 use super::profinet::{
-    self, Ethernet, FrameLine, ProfinetReport, ProfinetSummary, Protocol, RpcFields, RpcFragments,
-    Shown,
+    self, Connections, Ethernet, FrameLine, ProfinetReport, ProfinetSummary, Protocol, RpcFields,
+    RpcFragments, Shown,
 };
 use super::row::{self, InRow};
 use super::settings::Settings;
@@ -35,13 +35,14 @@ pub(super) struct Decoder<'a, W> {
     summary: Summary,
     profinet: ProfinetSummary,
     rpc_fragments: RpcFragments,
-    /// A line of text. Its room is used again.
-    line: String,
+    connections: Connections,
+    printer: Printer<'a, W>,
     unknown_link: Option<i32>,
 }
 
 impl<'a, W: Write> Decoder<'a, W> {
     pub(super) fn new(settings: Settings, output: &'a RefCell<W>) -> Self {
+        let printer = Printer::new(&settings, output);
         Self {
             settings,
             output,
@@ -50,7 +51,8 @@ impl<'a, W: Write> Decoder<'a, W> {
             summary: Summary::default(),
             profinet: ProfinetSummary::default(),
             rpc_fragments: RpcFragments::default(),
-            line: String::new(),
+            connections: Connections::default(),
+            printer,
             unknown_link: None,
         }
     }
@@ -72,7 +74,9 @@ impl<'a, W: Write> Decoder<'a, W> {
         if let Some(frame) = profinet::frame(captured) {
             return self.frame(captured, &frame);
         }
-        if ![Protocol::PNet, Protocol::ProfinetRpc].iter().any(|it| self.settings.shows(*it)) {
+        // RPC says which submodules cyclic data is of.
+        let on_ip = [Protocol::PNet, Protocol::ProfinetRpc, Protocol::ProfinetRt];
+        if !on_ip.iter().any(|protocol| self.settings.shows(*protocol)) {
             return Ok(());
         }
         match packet::find(link, octets) {
@@ -97,12 +101,12 @@ impl<'a, W: Write> Decoder<'a, W> {
 
     /// Shows a frame of PROFINET, or of a protocol beside it.
     fn frame(&mut self, captured: &Captured<'_>, frame: &Ethernet<'_>) -> io::Result<()> {
-        let (protocol, fields) = profinet::Fields::of(frame);
+        let (protocol, fields) = profinet::Fields::of(frame, &self.connections);
         if !self.settings.shows(protocol) {
             return Ok(());
         }
         self.profinet.frame(frame, (protocol, &fields), captured.time);
-        self.print(&FrameLine {
+        self.printer.print(&FrameLine {
             frame: captured.number,
             time: captured.time,
             from: Shown(frame.from),
@@ -111,23 +115,6 @@ impl<'a, W: Write> Decoder<'a, W> {
             protocol,
             fields,
         })
-    }
-
-    fn print<A: Display, F: Display + Serialize>(
-        &mut self,
-        line: &FrameLine<A, F>,
-    ) -> io::Result<()> {
-        let mut output = self.output.borrow_mut();
-        match self.settings.format {
-            Format::Text if self.settings.is_verbose => line.write_tree(&mut *output),
-            Format::Text => {
-                // Of many small pieces; so the output is asked only once.
-                self.line.clear();
-                line.write_text(&mut self.line).map_err(io::Error::other)?;
-                output.write_all(self.line.as_bytes())
-            }
-            Format::Json => print_json(line, &mut *output),
-        }
     }
 
     fn udp(
@@ -164,16 +151,17 @@ impl<'a, W: Write> Decoder<'a, W> {
         [from, to]: [SocketAddr; 2],
         fields: RpcFields<'_>,
     ) -> io::Result<()> {
-        if !self.settings.shows(Protocol::ProfinetRpc) {
-            return Ok(());
-        }
         let whole = self.rpc_fragments.add(&fields);
         let fields = match &whole {
             Some(stub) => fields.with_call(stub),
             None => fields,
         };
+        fields.teach(&mut self.connections);
+        if !self.settings.shows(Protocol::ProfinetRpc) {
+            return Ok(());
+        }
         self.profinet.rpc(&fields);
-        self.print(&FrameLine {
+        self.printer.print(&FrameLine {
             frame: captured.number,
             time: captured.time,
             from: Shown(from),

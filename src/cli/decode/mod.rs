@@ -16,6 +16,7 @@ mod line;
 mod packet;
 mod pairing;
 mod ports;
+mod printer;
 mod profinet;
 mod progress;
 mod row;

@@ -5,6 +5,7 @@
 //! frame, since there may be millions, and what a frame has as text is shown without control characters.
 
 mod alarm;
+mod connections;
 mod dcp;
 mod dcp_block;
 mod ethernet;
@@ -18,6 +19,7 @@ mod rpc_fragments;
 mod rpc_value;
 mod rt;
 mod streams;
+mod submodules;
 mod summary;
 mod tree;
 mod words;
@@ -31,6 +33,7 @@ use crate::profinet::alarm::PduType;
 use crate::profinet::rt::{ApduStatus, FrameId, FrameKind, RtFrame};
 use crate::profinet::{lldp as lldp_wire, mrp as mrp_wire};
 
+pub(super) use connections::Connections;
 pub(super) use ethernet::{Ethernet, frame};
 pub(super) use line::FrameLine;
 pub(super) use rpc::RpcFields;
@@ -88,19 +91,23 @@ pub(super) struct Fault {
 
 impl<'a> Fields<'a> {
     /// Reads what was captured of a frame, and tells what it is.
-    pub(super) fn of(frame: &Ethernet<'a>) -> (Protocol, Self) {
+    pub(super) fn of(frame: &Ethernet<'a>, connections: &'a Connections) -> (Protocol, Self) {
         let octets = frame.octets;
         match frame.ether_type {
             lldp_wire::ETHER_TYPE => (Protocol::Lldp, Self::Lldp(lldp::LldpFields::of(octets))),
             mrp_wire::ETHER_TYPE => (Protocol::Mrp, Self::Mrp(mrp::MrpFields::of(octets))),
             _ => match RtFrame::parse(octets) {
-                Ok(rt) => Self::of_rt(rt, frame),
+                Ok(rt) => Self::of_rt(rt, frame, connections),
                 Err(error) => (Protocol::ProfinetRt, Self::Short(error.into())),
             },
         }
     }
 
-    fn of_rt(rt: RtFrame<'a>, frame: &Ethernet<'a>) -> (Protocol, Self) {
+    fn of_rt(
+        rt: RtFrame<'a>,
+        frame: &Ethernet<'a>,
+        connections: &'a Connections,
+    ) -> (Protocol, Self) {
         let (id, behind) = (rt.frame_id, rt.behind);
         match id.kind() {
             FrameKind::Alarm(_) => {
@@ -111,8 +118,9 @@ impl<'a> Fields<'a> {
                 (Protocol::Ptcp, Self::Ptcp(ptcp::PtcpFields::of(id, kind, behind)))
             }
             FrameKind::Cyclic(_) | FrameKind::Fragment | FrameKind::Reserved => {
-                let is_whole = octets_are_whole(frame);
-                (Protocol::ProfinetRt, Self::Rt(rt::RtFields::of(rt, is_whole)))
+                let layout = connections.layout(frame.from, frame.to, id);
+                let fields = rt::RtFields::of(rt, octets_are_whole(frame));
+                (Protocol::ProfinetRt, Self::Rt(fields.with_layout(layout)))
             }
         }
     }
@@ -136,6 +144,11 @@ impl<'a> Fields<'a> {
             Self::Rt(it) => it.stream(),
             _ => None,
         }
+    }
+
+    /// Whether it is cyclic data that was cut into submodules.
+    pub(super) fn has_submodules(&self) -> bool {
+        matches!(self, Self::Rt(it) if it.has_submodules())
     }
 
     /// The kind of an alarm's frame.

@@ -7,6 +7,7 @@ use std::fmt::{self, Display};
 
 use serde::{Serialize, Serializer};
 
+use super::connections::Connections;
 use super::rpc_fragments::{Fragment, Key};
 use super::rpc_value::Fields;
 use crate::profinet::blocks::Blocks;
@@ -16,6 +17,9 @@ use crate::profinet::rpc::{
 };
 use crate::profinet::view::{Show, Value, first_fault};
 use crate::profinet::{Malformed, Octets, PnioStatus, ndr};
+
+/// The operation that makes a connection.
+const CONNECT: u16 = 0;
 
 /// What a datagram says, as far as it can be read.
 #[derive(Debug)]
@@ -107,6 +111,20 @@ impl<'a> RpcFields<'a> {
             is_last: header.flags1.is_last_fragment(),
             octets: stub.rest(),
         })
+    }
+
+    /// Tells the connections what a whole Connect says.
+    pub(in crate::cli::decode) fn teach(&self, connections: &mut Connections) {
+        let Some((header, call)) = self.header.zip(self.call) else { return };
+        match call {
+            Call::Request { blocks, .. } if header.operation == CONNECT => {
+                connections.request(blocks);
+            }
+            Call::Response { blocks, .. } if header.operation == CONNECT => {
+                connections.answer(blocks);
+            }
+            _ => {}
+        }
     }
 
     /// Why it cannot be read to its end.

@@ -5,6 +5,8 @@ use std::fmt::{self, Display};
 use serde::Serialize;
 
 use super::Fault;
+use super::connections::Layout;
+use super::submodules::Submodules;
 use super::words::Shown;
 use crate::cli::output::Hex;
 use crate::profinet::rt::{
@@ -20,6 +22,8 @@ pub(in crate::cli::decode) struct RtFields<'a> {
     status: Option<StatusFields>,
     data_length: usize,
     data: Shown<Hex<'a>>,
+    /// Null where the Connect of this stream is not in the capture.
+    submodules: Option<Submodules<'a>>,
     #[serde(flatten)]
     pub(super) fault: Option<Fault>,
 }
@@ -67,8 +71,20 @@ impl<'a> RtFields<'a> {
             status: status.as_ref().map(StatusFields::of),
             data_length: data.len(),
             data: Shown(Hex(data)),
+            submodules: None,
             fault,
         }
+    }
+
+    /// The same, cut into submodules.
+    pub(super) fn with_layout(self, layout: Option<&'a Layout>) -> Self {
+        let whole = layout.filter(|_| self.status.is_some());
+        Self { submodules: whole.map(|layout| Submodules::new(layout, self.data.0.0)), ..self }
+    }
+
+    /// Whether it is cut into submodules.
+    pub(super) fn has_submodules(&self) -> bool {
+        self.submodules.is_some()
     }
 
     /// The frame ID, and the status.
@@ -118,7 +134,11 @@ impl Display for RtFields<'_> {
             f.write_str(", ")?;
         }
         self.data_length.fmt(f)?;
-        f.write_str(" octets")
+        f.write_str(" octets")?;
+        match &self.submodules {
+            None => Ok(()),
+            Some(it) => write!(f, " of {} parts, {} bad", it.count(), it.bad()),
+        }
     }
 }
 

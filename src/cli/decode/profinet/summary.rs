@@ -17,7 +17,7 @@ use super::{Fields, Protocol, RpcFields};
 use crate::cli::output::{duration, table};
 use crate::profinet::MacAddress;
 use crate::profinet::alarm::PduType;
-use crate::profinet::rt::FrameId;
+use crate::profinet::rt::{FrameId, FrameKind};
 
 /// Streams with a row of their own; the others share one.
 const MOST: usize = 1024;
@@ -62,10 +62,18 @@ pub(in crate::cli::decode) struct ProfinetSummary {
 struct Row {
     key: Key,
     stream: Stream,
+    /// Whether its Connect is known.
+    has_submodules: bool,
     /// DATA frames of an alarm connection.
     alarms: u64,
     /// ERR frames of an alarm connection.
     aborts: u64,
+}
+
+impl Row {
+    fn new(key: Key) -> Self {
+        Self { key, stream: Stream::default(), has_submodules: false, alarms: 0, aborts: 0 }
+    }
 }
 
 impl ProfinetSummary {
@@ -84,6 +92,7 @@ impl ProfinetSummary {
             && let Some(row) = self.row(key(frame_id))
         {
             row.stream.frame(status, time);
+            row.has_submodules |= fields.has_submodules();
         }
         if let Some((frame_id, kind)) = fields.alarm()
             && let Some(row) = self.row(key(frame_id))
@@ -107,7 +116,7 @@ impl ProfinetSummary {
             Some(&place) => place,
             None if next < MOST => {
                 self.places.insert(key, next);
-                self.rows.push(Row { key, stream: Stream::default(), alarms: 0, aborts: 0 });
+                self.rows.push(Row::new(key));
                 next
             }
             None => {
@@ -183,13 +192,16 @@ struct StreamReport {
     jitter_median_seconds: Option<f64>,
     jitter_p99_seconds: Option<f64>,
     data_status_changes: u64,
+    /// Null of alarms; false where the Connect is not in the capture.
+    has_submodules: Option<bool>,
     alarms: u64,
     aborts: u64,
 }
 
 impl StreamReport {
     fn of(row: &Row) -> Self {
-        let Row { key, stream, alarms, aborts } = row;
+        let Row { key, stream, has_submodules, alarms, aborts } = row;
+        let is_cyclic = matches!(key.frame_id.kind(), FrameKind::Cyclic(_));
         let (steps, jitter) = (stream.steps(), stream.jitter());
         Self {
             from: Shown(key.from),
@@ -204,6 +216,7 @@ impl StreamReport {
             jitter_median_seconds: jitter.map(|it| it.median),
             jitter_p99_seconds: jitter.map(|it| it.p99),
             data_status_changes: stream.status_changes,
+            has_submodules: is_cyclic.then_some(*has_submodules),
             alarms: *alarms,
             aborts: *aborts,
         }
@@ -268,10 +281,25 @@ impl Display for ProfinetReport {
             }
             writeln!(f, "\n{table}")?;
         }
-        match self.frames_of_other_streams {
-            0 => Ok(()),
-            others => writeln!(f, "\nFrames of more than {MOST} streams, without a row: {others}."),
+        let uncut = self.streams.iter().filter(|stream| stream.has_submodules == Some(false));
+        let mut notes = Vec::new();
+        match uncut.count() {
+            0 => {}
+            uncut => notes.push(format!(
+                "Streams that are not cut into submodules, since the capture has no Connect of \
+                 them: {uncut}."
+            )),
         }
+        match self.frames_of_other_streams {
+            0 => {}
+            others => {
+                notes.push(format!("Frames of more than {MOST} streams, without a row: {others}."));
+            }
+        }
+        if !notes.is_empty() {
+            writeln!(f)?;
+        }
+        notes.iter().try_for_each(|note| writeln!(f, "{note}"))
     }
 }
 

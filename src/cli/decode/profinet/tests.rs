@@ -22,7 +22,8 @@ fn shown(packet: &[u8], length: usize) -> (String, String, Value) {
     let link = Linktype::ETHERNET;
     let captured = Captured { number: 7, time: time(), link, octets: packet, length };
     let frame = frame(&captured).unwrap();
-    let (protocol, fields) = Fields::of(&frame);
+    let connections = Connections::default();
+    let (protocol, fields) = Fields::of(&frame, &connections);
     let line = FrameLine {
         frame: 7,
         time: time(),
@@ -75,7 +76,7 @@ fn p_2_cyclic_data_has_its_status() {
                 "provider_running": true, "station_ok": true, "ignore": false,
             },
             "transfer_status": 2, "transfer_faults": ["length"],
-            "data_length": 3, "data": "ababab",
+            "data_length": 3, "data": "ababab", "submodules": null,
         }),
     );
     // Of what was not captured, no status is made up.

@@ -3,6 +3,7 @@ use std::time::{Duration, UNIX_EPOCH};
 use pcap_parser::Linktype;
 use serde_json::{Value, json};
 
+use super::super::Connections;
 use super::super::ethernet::frame;
 use super::super::rpc::tests::read_api_data;
 use super::*;
@@ -17,7 +18,8 @@ fn count(summary: &mut ProfinetSummary, station: u16, micros: u64, behind: &[u8]
     let (link, length) = (Linktype::ETHERNET, octets.len());
     let captured = Captured { number: 1, time, link, octets: &octets, length };
     let frame = frame(&captured).unwrap();
-    let (protocol, fields) = Fields::of(&frame);
+    let connections = Connections::default();
+    let (protocol, fields) = Fields::of(&frame, &connections);
     summary.frame(&frame, (protocol, &fields), time);
 }
 
@@ -64,6 +66,8 @@ PROFINET frames: RT 199, DCP 0, alarms 4, RPC 2, PTCP 0, LLDP 1, MRP 0; malforme
 | 02:00:00:00:00:08 | 01:0e:cf:00:00:00 | $8000    | RT class 1 |    100 |   32 |    0 |   1.0 ms | 0.000 ms | 0.000 ms |              0 |      0 |      0 |
 | 02:00:00:00:00:09 | 01:0e:cf:00:00:00 | $8001    | RT class 1 |     99 |   64 |    1 |   2.0 ms | 0.000 ms |   2.0 ms |              2 |      0 |      0 |
 | 02:00:00:00:00:09 | 01:0e:cf:00:00:00 | $FE01    | alarm low  |      4 |    – |    – |        – |        – |        – |              0 |      2 |      1 |
+
+Streams that are not cut into submodules, since the capture has no Connect of them: 2.
 "
     );
     let json: Value = serde_json::to_value(&report).unwrap();
