@@ -240,6 +240,11 @@ explain(
     behind_a_gap,
     "tshark cuts cyclic data up to the first gap between two parts",
 )
+explain(
+    ["pn_io.ioxs", "pn_io.ioxs.datastate"],
+    lambda shown, here, there: not there,
+    "tshark forgets a connection with the alarm frame that ends it; data may still come for a while",
+)
 
 IP_SUITE = "tshark prints the name servers of a full IP suite as address, mask and gateways"
 explain(["pn_dcp.suboption_ip_ip"], servers(0), IP_SUITE)

@@ -184,9 +184,19 @@ impl<R: BufRead> Blocks<R> {
     /// octet.
     fn fill(&mut self, length: usize) -> anyhow::Result<bool> {
         ensure!(length <= LONGEST_BLOCK, "{}: it is too long", self.bad_block());
-        let missing = length.saturating_sub(self.block.len()) as u64;
-        let read = self.input.by_ref().take(missing).read_to_end(&mut self.block)?;
-        self.read += read as u64;
+        while self.block.len() < length {
+            let buffered = match self.input.fill_buf() {
+                Err(error) if error.kind() == io::ErrorKind::Interrupted => continue,
+                buffered => buffered?,
+            };
+            if buffered.is_empty() {
+                break;
+            }
+            let taken = buffered.len().min(length - self.block.len());
+            self.block.extend_from_slice(&buffered[..taken]);
+            self.input.consume(taken);
+            self.read += taken as u64;
+        }
         if self.block.is_empty() {
             return Ok(false);
         }
