@@ -10,8 +10,10 @@
 //! is not free for others either. The number of leases of each net has a limit, and so has the number of
 //! sockets.
 
+mod owner;
+
 use std::collections::HashMap;
-use std::net::{IpAddr, Ipv4Addr, SocketAddr};
+use std::net::{IpAddr, SocketAddr};
 
 use foldhash::fast::SeedableRandomState;
 use slab::Slab;
@@ -26,6 +28,9 @@ use super::rules::Rules;
 use super::table::Table;
 use super::time::Nanos;
 
+pub(super) use owner::Owner;
+pub use owner::SocketKind;
+
 /// How long a lease rests after its flow has ended.
 const REST: Nanos = 120_000_000_000;
 
@@ -38,20 +43,6 @@ const LAST_PROBES: usize = 1024;
 
 /// How many leases one call drops. Each may close a socket, which costs a system call.
 const AT_ONCE: usize = if cfg!(test) { 2 } else { 64 };
-
-/// Stands for all addresses of remote nets. No client sends to it.
-const UNSPECIFIED: IpAddr = IpAddr::V4(Ipv4Addr::UNSPECIFIED);
-
-/// The client that has a lease, and where the client sends to. So a late answer to a flow that
-/// was closed and opened again still leaves from the right address and port.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Owner {
-    pub client: SocketAddr,
-    pub public_address: IpAddr,
-    pub public_port: u16,
-    /// Whether each node has an address of its own here, as in a remote net.
-    pub has_local_address: bool,
-}
 
 /// The upstream sockets of one worker and what each is used for.
 #[derive(Debug)]
@@ -67,15 +58,6 @@ pub(super) struct Upstreams {
     /// still in here.
     resting: Queue<(Nanos, UpstreamId, SocketAddr)>,
     random: fastrand::Rng,
-}
-
-/// What an upstream socket carries. Flows share a socket only with their like.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct SocketKind {
-    /// IPv4, otherwise IPv6.
-    pub ipv4: bool,
-    /// Whether datagrams may be longer than those of P-NET.
-    pub is_long: bool,
 }
 
 #[derive(Debug)]
@@ -361,14 +343,5 @@ impl Upstreams {
         if let Some(moved) = self.open.get(place) {
             self.sockets[moved.key()].place = place;
         }
-    }
-}
-
-impl Owner {
-    /// What a client's affinity is found by. A client that asks nodes at different addresses in a
-    /// remote net comes from one port all the same.
-    fn affinity(self) -> (SocketAddr, IpAddr) {
-        let address = if self.has_local_address { UNSPECIFIED } else { self.public_address };
-        (self.client, address)
     }
 }
