@@ -1,5 +1,6 @@
 //! The core allocates nothing for a datagram, neither for one of an open flow nor for one that is
-//! dropped. The memory of an open flow is measured. A client node allocates nothing for what it receives.
+//! dropped. The memory of an open flow is measured. A client node allocates nothing for what it receives, and
+//! reading RPC of PROFINET allocates nothing either.
 //!
 //! The allocator counts for each thread by itself, so that the tests may run at the same time.
 // An allocator cannot be written without unsafe code. This one hands every call on to the system's.
@@ -16,6 +17,10 @@ use pnet_nat::pnet::endpoint::client::{
 };
 use pnet_nat::pnet::ip_net_table::Destination;
 use pnet_nat::pnet::wire::{MAX_DATAGRAM, Password};
+use pnet_nat::profinet::blocks::Blocks;
+use pnet_nat::profinet::ndr;
+use pnet_nat::profinet::rpc::{Body, Rpc};
+use pnet_nat::profinet::view::first_fault;
 use pnet_nat_rig::isolated_core::{
     DEVICE_PASSWORD, Flow, PASSWORD, REST, Rig, Site, arrival, client_endpoint, datagram, garbage,
     largest_request, request, response, server,
@@ -370,6 +375,31 @@ fn what_a_client_receives_costs_no_allocation() {
         assert_eq!(client.poll_finished(), Some(endpoint));
         assert!(matches!(client.take_outcome(endpoint), Some(Outcome::Answered(_))));
     }
+}
+
+/// Every field of every block in datagrams of every kind.
+#[test]
+fn reading_rpc_of_profinet_costs_no_allocation() {
+    let corpus = concat!(env!("CARGO_MANIFEST_DIR"), "/fuzz/corpus/profinet_rpc");
+    let files = std::fs::read_dir(corpus).unwrap();
+    let datagrams: Vec<_> =
+        files.map(|file| std::fs::read(file.unwrap().path()).unwrap()).collect();
+    let mut blocks = 0;
+    without_allocating(|| {
+        for datagram in &datagrams {
+            let Ok(rpc) = Rpc::parse(datagram) else { continue };
+            let Body::Stub(stub) = rpc.body() else { continue };
+            let request = ndr::Request::read(stub).map(|request| request.args);
+            let Ok(args) = request.or_else(|_| ndr::Response::read(stub).map(|it| it.args)) else {
+                continue;
+            };
+            for block in Blocks::new(args) {
+                assert_eq!(first_fault(&block.unwrap()), None);
+                blocks += 1;
+            }
+        }
+    });
+    assert!(blocks > 50, "{blocks} blocks");
 }
 
 #[test]

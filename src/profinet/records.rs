@@ -64,12 +64,8 @@ pub(super) fn word(index: u64) -> Value<'static> {
 
 /// Whether a record is made of blocks. Others mean what the device or a profile says.
 pub fn has_blocks(index: u16) -> bool {
-    match index {
-        0x0000..=0x7FFF => false,
-        // Profiles have their own layout, but for I&M.
-        0xA000..=0xAFEF | 0xB000..=0xBFFF | 0xE600..=0xEBFF | 0xF400..=0xF7FF => false,
-        _ => true,
-    }
+    let is_of_profile = matches!(index, 0x80A0 | 0x80D0 | 0xB02E | 0xB02F);
+    !is_of_profile && record_name(index).is_some()
 }
 
 /// What a subslot is; none if it is not one of interface and ports.
@@ -261,7 +257,7 @@ mod tests {
             assert!(has_blocks(index));
         }
         assert_eq!((record_name(0x1234), Scope::of(0x1234)), (None, Scope::User));
-        assert!(!has_blocks(0x1234) && !has_blocks(0xB02E));
+        assert!([0x1234, 0x9000, 0xB02E, 0xFFFF].iter().all(|index| !has_blocks(*index)));
     }
 
     #[test]

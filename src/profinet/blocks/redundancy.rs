@@ -174,7 +174,7 @@ view! {
 view! {
     /// 0x010A: system redundancy.
     pub struct SrInfoBlock {
-        /// After how many cycles without any AR the outputs are given up.
+        /// After how long without any AR the outputs are given up, in ms.
         redundancy_data_hold_factor: u16,
         /// How both ARs behave.
         sr_properties: u32 => words::sr_properties,

@@ -25,7 +25,7 @@ pub enum Body<'a> {
 pub struct Fack<'a> {
     /// The version of this body: 0 or 1.
     pub version: u8,
-    /// Octets that the receiver takes at once; in KiB in version 0 or 1 of most stacks.
+    /// How much the receiver takes before it answers again, in the unit of its version.
     pub window_size: u16,
     /// The largest datagram that the receiver can take from below.
     pub max_tsdu: u32,
