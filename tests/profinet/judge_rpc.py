@@ -279,9 +279,13 @@ BLOCKS = [
 ]
 
 
-def repeated(shown, here, there):
-    """What tshark has behind the values that are in the frame itself."""
-    return there[: len(here)] == here
+def behind(count):
+    """So many values behind those of the frame itself."""
+
+    def may_differ(shown, here, there):
+        return len(there) == len(here) + count and there[: len(here)] == here
+
+    return may_differ
 
 
 def api_data(shown, here, there):
@@ -302,6 +306,8 @@ def found(value):
         yield from found(item)
 
 
+REMEMBERED = "tshark adds what it remembers of the Connect to every frame of the AR"
+
 # tshark's fields, a test of (object, ours, theirs), and why they may differ.
 EXPLAINED = [
     (
@@ -310,11 +316,11 @@ EXPLAINED = [
             "pn_io.cminitiator_mac_add",
             "pn_io.cminitiator_station_name",
             "pn_io.cmresponder_macadd",
-            "pn_io.localalarmref",
         ),
-        repeated,
-        "tshark adds what it remembers of the Connect to every frame of the AR",
+        behind(1),
+        REMEMBERED,
     ),
+    (("pn_io.localalarmref",), behind(2), REMEMBERED),
     (("pn_io.api",), api_data, "decode lists the numbers of APIData without a name for each"),
     (
         ("pn_io.user_structure_identifier",),
