@@ -1,6 +1,6 @@
 //! The core allocates nothing for a datagram, neither for one of an open flow nor for one that is
 //! dropped. The memory of an open flow is measured. A client node allocates nothing for what it receives, and
-//! reading RPC of PROFINET allocates nothing either.
+//! the views of PROFINET allocate nothing either.
 //!
 //! The allocator counts for each thread by itself, so that the tests may run at the same time.
 // An allocator cannot be written without unsafe code. This one hands every call on to the system's.
@@ -18,8 +18,13 @@ use pnet_nat::pnet::endpoint::client::{
 use pnet_nat::pnet::ip_net_table::Destination;
 use pnet_nat::pnet::wire::{MAX_DATAGRAM, Password};
 use pnet_nat::profinet::blocks::Blocks;
+use pnet_nat::profinet::dcp::Dcp;
+use pnet_nat::profinet::lldp::Lldp;
+use pnet_nat::profinet::mrp::Mrp;
 use pnet_nat::profinet::ndr;
+use pnet_nat::profinet::ptcp::Ptcp;
 use pnet_nat::profinet::rpc::{Body, Rpc};
+use pnet_nat::profinet::rt::{CyclicData, PtcpFrame, RtFrame};
 use pnet_nat::profinet::view::first_fault;
 use pnet_nat_rig::isolated_core::{
     DEVICE_PASSWORD, Flow, PASSWORD, REST, Rig, Site, arrival, client_endpoint, datagram, garbage,
@@ -400,6 +405,32 @@ fn reading_rpc_of_profinet_costs_no_allocation() {
         }
     });
     assert!(blocks > 50, "{blocks} blocks");
+}
+
+/// A plant sends thousands of RT frames a second.
+#[test]
+fn frames_of_profinet_are_read_without_allocating() {
+    let cyclic = [&[0x80, 0x01][..], &[0; 40], &[0x12, 0x34, 0x35, 0]].concat();
+    let dcp = b"\xFE\xFE\x05\0\x01\0\0\x02\0\x01\0\x08\x02\x02\0\x04plc1";
+    let lldp = b"\x02\x04\x07plc\x04\x09\x07port-001\x06\x02\0\x14\0\0";
+    let mrp = [&[0, 1, 1, 18, 0, 7][..], &[0xFF; 16], &[0, 0]].concat();
+    let ptcp = [&[0xFF, 0x40][..], &[0; 20], &[0x0C, 6, 2, 0, 0, 0, 0, 9, 0, 0]].concat();
+    let parts = without_allocating(|| {
+        let mut parts = 0;
+        for _ in 0..TIMES {
+            let frame = RtFrame::parse(&cyclic).unwrap();
+            parts += usize::from(CyclicData::parse(frame.behind).unwrap().status.cycle_counter);
+            let frame = RtFrame::parse(dcp).unwrap();
+            parts += Dcp::parse(frame.behind).unwrap().blocks().map(Result::unwrap).count();
+            parts += Lldp::new(lldp).tlvs().map(Result::unwrap).count();
+            parts += Mrp::parse(&mrp).unwrap().tlvs().map(Result::unwrap).count();
+            let frame = RtFrame::parse(&ptcp).unwrap();
+            let ptcp = Ptcp::parse(PtcpFrame::DelayRequest, frame.behind).unwrap().unwrap();
+            parts += ptcp.tlvs().map(Result::unwrap).count();
+        }
+        parts
+    });
+    assert_eq!(parts, TIMES * (0x1234 + 1 + 3 + 1 + 1));
 }
 
 #[test]

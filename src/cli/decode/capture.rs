@@ -18,6 +18,8 @@ use pcap_parser::{
 const LONGEST_BLOCK: usize = 1 << 20;
 /// Interfaces in one section.
 const MOST_INTERFACES: usize = 1 << 16;
+/// The pcapng option with the length of the frame check sequence.
+const IF_FCSLEN: u16 = 13;
 /// The last second of the year 9999: later times cannot be printed.
 const LAST_SECOND: u64 = 253_402_300_799;
 
@@ -72,6 +74,9 @@ fn read_pcap(
 ) -> anyhow::Result<()> {
     blocks.fill(24)?;
     let (_, header) = parse_pcap_header(&blocks.block).ok().context("bad pcap header")?;
+    // The upper bits describe what follows a frame: bit 26 says that the highest four count.
+    let network = header.network.0 as u32;
+    let fcs = if network & 1 << 26 == 0 { 0 } else { 2 * (network >> 28) as usize };
     for number in 1.. {
         blocks.block.clear();
         if !blocks.fill(16)? {
@@ -83,14 +88,10 @@ fn read_pcap(
         blocks.fill(16_usize.saturating_add(length as usize))?;
         let parse = if big_endian { parse_pcap_frame_be } else { parse_pcap_frame };
         let (_, frame) = parse(&blocks.block).ok().with_context(|| blocks.bad_block())?;
-        each(Captured {
-            number,
-            time: time(frame.ts_sec.into(), frame.ts_usec.into(), units.into()),
-            // The upper bits describe what follows a frame.
-            link: Linktype(header.network.0 & 0xFFFF),
-            octets: frame.data,
-            length: frame.origlen as usize,
-        })?;
+        let time = time(frame.ts_sec.into(), frame.ts_usec.into(), units.into());
+        let (octets, length) = without_fcs(frame.data, frame.origlen, fcs);
+        let link = Linktype(header.network.0 & 0xFFFF);
+        each(Captured { number, time, link, octets, length })?;
     }
     Ok(())
 }
@@ -127,16 +128,25 @@ fn read_pcapng(
         };
         number += 1;
         let interface = interface.with_context(|| blocks.bad_block())?;
-        let length = length as usize;
+        let (octets, length) = without_fcs(octets, length, interface.fcs);
         each(Captured { number, time, link: interface.link, octets, length })?;
     }
     Ok(())
+}
+
+/// The octets of a packet, and how many were sent, without the frame check sequence of so many octets. It
+/// would be taken for the status behind cyclic data of PROFINET.
+fn without_fcs(octets: &[u8], length: u32, fcs: usize) -> (&[u8], usize) {
+    let length = (length as usize).saturating_sub(fcs);
+    (&octets[..octets.len().min(length)], length)
 }
 
 /// An interface of a pcapng section.
 #[derive(Debug)]
 struct Interface {
     link: Linktype,
+    /// Octets of the frame check sequence behind each packet.
+    fcs: usize,
     units_per_second: Option<u64>,
     /// Seconds.
     offset: i64,
@@ -148,8 +158,10 @@ impl Interface {
         let offset = option(OptionCode::IfTsoffset).and_then(|option| option.value.first_chunk());
         let number = if big_endian { i64::from_be_bytes } else { i64::from_le_bytes };
         let (power, of_two) = (block.if_tsresol & 0x7F, block.if_tsresol & 0x80 != 0);
+        let fcs = option(OptionCode(IF_FCSLEN)).and_then(|option| option.value.first());
         Self {
             link: block.linktype,
+            fcs: fcs.map_or(0, |&octets| octets.into()),
             units_per_second: (if of_two { 2_u64 } else { 10 }).checked_pow(power.into()),
             offset: offset.map_or(0, |octets| number(*octets)),
         }

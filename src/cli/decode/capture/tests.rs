@@ -131,6 +131,29 @@ fn pcapng_in_both_orders_with_several_interfaces_and_sections() {
 }
 
 #[test]
+fn a_frame_check_sequence_is_left_out() {
+    for big_endian in [false, true] {
+        let writer = Writer { big_endian };
+        let mut pcap = writer.pcap(0xA1B2_C3D4, b"frame+FCS!");
+        // Four octets, and the bit that says so; then the same length without that bit.
+        for (network, right) in
+            [(0x2400_0001, &b"frame+"[..]), (0x2000_0001, b"frame+FCS!"), (1, b"frame+FCS!")]
+        {
+            pcap[20..24].copy_from_slice(&writer.u32(network));
+            let (packets, error) = all(&pcap);
+            assert_eq!((packets[0].2, &packets[0].3[..], error), (1, right, None));
+        }
+        let interface = writer.interface(1, &[(13, &[4])]);
+        let packet = writer.enhanced(0, 0, b"frame+FCS!");
+        let (packets, error) = all(&[writer.section(), interface, packet].concat());
+        assert_eq!((&packets[0].3[..], error), (&b"frame+"[..], None));
+    }
+    // Of a packet that was cut off before, nothing more is taken away.
+    assert_eq!(without_fcs(b"frame", 10, 4), (&b"frame"[..], 6));
+    assert_eq!(without_fcs(b"abc", 3, 4), (&b""[..], 0));
+}
+
+#[test]
 fn hex_text_is_no_capture() {
     for beginning in [&b"0200"[..], b"", b"\xD4\xC3\xB2", b"# ex"] {
         assert!(!is_magic(beginning));
