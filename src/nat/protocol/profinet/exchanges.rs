@@ -4,8 +4,8 @@
 //! sequence number, whatever the byte order is. There is room for a few calls at a time. A call is
 //! forgotten soon after its last datagram, or when others need its place.
 
-use crate::profinet::Uuid;
 use crate::profinet::rpc::{Header, PacketType};
+use crate::profinet::{ByteOrder, Uuid};
 
 use crate::nat::reason::DropReason;
 use crate::nat::time::Nanos;
@@ -42,8 +42,8 @@ pub(super) struct Call {
     sequence: u32,
 }
 
-/// A request in fragments, as far as it has passed. All fragments but the last have the length of the
-/// first.
+/// A request in fragments, as far as it has passed. All fragments have the byte order of the first, and
+/// all but the last have its length.
 #[derive(Clone, Copy, Debug)]
 struct Begun {
     stub: [u8; read::LEN],
@@ -51,11 +51,12 @@ struct Begun {
     len: usize,
     /// Octets of the first fragment.
     first: usize,
+    order: ByteOrder,
 }
 
 impl Default for Begun {
     fn default() -> Self {
-        Self { stub: [0; read::LEN], len: 0, first: 0 }
+        Self { stub: [0; read::LEN], len: 0, first: 0, order: ByteOrder::Big }
     }
 }
 
@@ -63,15 +64,17 @@ impl Begun {
     /// The stub data with this fragment, as far as they are there then, and how many octets that is.
     /// None if the fragment has no place there.
     fn with(&self, fragment: &Fragment<'_>) -> Option<Self> {
-        let Fragment { number, is_last, stub, .. } = *fragment;
-        let first = if self.len == 0 { stub.len() } else { self.first };
+        let Fragment { number, is_last, stub, order } = *fragment;
+        let is_begun = self.len > 0;
+        let first = if is_begun { self.first } else { stub.len() };
         let start = usize::from(number) * first;
         let end = start + stub.len();
         let fits = if is_last { end == read::LEN } else { stub.len() == first && end < read::LEN };
-        let mut with = Self { first, ..*self };
-        if !fits || start > self.len {
+        // Who puts the fragments together takes the byte order of one of them for all.
+        if !fits || start > self.len || is_begun && order != self.order {
             return None;
         }
+        let mut with = Self { first, order, ..*self };
         with.stub[start..end].copy_from_slice(stub);
         // One that was lost on the way is sent again as it was.
         let again = end.min(self.len);

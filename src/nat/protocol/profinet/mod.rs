@@ -117,9 +117,12 @@ fn part_of<'a>(
                 return Err(DropReason::BadNdr);
             }
             let (order, stub) = (stub.order(), stub.rest());
+            if stub.is_empty() {
+                return Err(DropReason::BadNdr); // it has no place in the request
+            }
             if number == 0 {
                 read::check(stub, order, records)?;
-                if is_whole != (stub.len() == read::LEN) || stub.is_empty() {
+                if is_whole != (stub.len() == read::LEN) {
                     return Err(DropReason::BadNdr);
                 }
             }

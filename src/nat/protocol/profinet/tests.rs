@@ -218,6 +218,39 @@ fn p_8_fragments_that_do_not_belong_together_are_refused() {
     assert_eq!(verdicts(&[alone(Flags1::FRAGMENT | Flags1::LAST_FRAGMENT)]), [Ok(true)]);
 }
 
+/// A device reads the numbers in the byte order of the first fragment, or of the last one.
+#[test]
+fn p_8_fragments_of_two_byte_orders_are_refused() {
+    for (order, other) in [(ByteOrder::Big, ByteOrder::Little), (ByteOrder::Little, ByteOrder::Big)]
+    {
+        // The first piece ends before the first number does, so that both orders suit it.
+        let mut fragments = fragments(order, 3, |_| ());
+        fragments[0] = with_header(&fragments[0], |header| header.representation.order = other);
+        let verdicts = verdicts(&fragments);
+        assert_eq!(verdicts[0], Ok(false));
+        assert!(verdicts[1..].iter().all(|it| *it == Err(DropReason::BadNdr)), "{verdicts:?}");
+    }
+}
+
+#[test]
+fn p_8_fragments_without_octets_are_refused() {
+    let whole = octets(&read(ByteOrder::Big, 0xAFF0));
+    let sound = fragments(ByteOrder::Big, 28, |_| ());
+    let nothing = |number, last| {
+        let header = *Rpc::parse(&whole).unwrap().header();
+        let flags1 = Flags1(Flags1::FRAGMENT | last);
+        let mut buffer = [0; Header::LEN];
+        Header { flags1, fragment_number: number, ..header }.emit(&[], &mut buffer).unwrap();
+        buffer.to_vec()
+    };
+    let bad = Err(DropReason::BadNdr);
+    let more = nothing(3, Flags1::LAST_FRAGMENT);
+    assert_eq!(verdicts(&[&sound[..], &[more]].concat()).last(), Some(&bad), "one too many");
+    for number in [0, 1, 7] {
+        assert_eq!(verdicts(&[whole.clone(), nothing(number, 0)]), [Ok(true), bad]);
+    }
+}
+
 fn answer(order: ByteOrder, packet_type: PacketType) -> Vec<u8> {
     let header = Header {
         packet_type,
