@@ -5,9 +5,11 @@
 //! that break it.
 
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
-use pnet_nat_rig::targets::{codec, configuration, core, endpoints, ip_net_table, profinet_rpc};
+use pnet_nat_rig::targets::{
+    codec, configuration, core, endpoints, ip_net_table, profinet, profinet_device, profinet_rpc,
+};
 use proptest::collection::vec;
 use proptest::prelude::*;
 use proptest::sample::{Index, select};
@@ -43,6 +45,58 @@ fn any_octets_are_read_or_refused_as_rpc_of_profinet() {
     survives("profinet_rpc", profinet_rpc::holds);
 }
 
+#[test]
+fn any_octets_are_read_or_refused_by_the_views_of_profinet() {
+    survives("profinet", profinet::holds);
+}
+
+/// Each parser has octets that it reads to their end, so the fuzzer begins behind its checks.
+#[test]
+fn the_corpus_of_profinet_has_sound_octets_for_each_parser() {
+    let seeds = profinet::seeds::all();
+    planted("profinet", &seeds);
+    let unread = |(_, octets): &&(String, Vec<u8>)| !profinet::reads(octets);
+    let unread: Vec<_> = seeds.iter().filter(unread).map(|(name, _)| name).collect();
+    assert!(unread.is_empty(), "{unread:?}");
+}
+
+#[test]
+fn any_sequence_of_steps_lets_nothing_but_reading_reach_a_profinet_device() {
+    survives("profinet_device", profinet_device::holds);
+}
+
+/// Enough of it passes, in both directions, that the rules have something to hold for.
+#[test]
+fn the_corpus_of_profinet_device_has_calls_that_pass_and_their_answers() {
+    let seeds = profinet_device::seeds::all();
+    planted("profinet_device", &seeds);
+    for (name, octets) in &seeds {
+        let passed = profinet_device::passed(octets);
+        let [asked, answered] = passed.map(|passed| passed > 0);
+        let is_refused = ["operation", "damaged", "index-3", "index-4", "index-5", "index-7"];
+        let is_refused = is_refused.iter().any(|it| name.contains(it));
+        let is_answered = ["seed-port", "seed-fragments", "seed-everybody"];
+        let is_answered = is_answered.iter().any(|it| name.starts_with(it));
+        assert_eq!(asked, !is_refused, "{name}: {passed:?}");
+        assert!(answered || !is_answered, "{name}: {passed:?}");
+    }
+}
+
+/// The files of the corpus that we made are as we make them. With `PNET_NAT_SEEDS=write` they are
+/// written.
+fn planted(target: &str, seeds: &[(String, Vec<u8>)]) {
+    let folder = folder(target);
+    let writes = std::env::var_os("PNET_NAT_SEEDS").is_some_and(|it| it == "write");
+    for (name, octets) in seeds {
+        let path = folder.join(name);
+        if writes {
+            fs::create_dir_all(&folder).unwrap();
+            fs::write(&path, octets).unwrap();
+        }
+        assert_eq!(fs::read(&path).ok().as_ref(), Some(octets), "{name}");
+    }
+}
+
 /// Every file of a target's corpus, then changes of them.
 fn survives(target: &str, holds: fn(&[u8])) {
     let corpus = corpus(target);
@@ -62,9 +116,12 @@ fn survives(target: &str, holds: fn(&[u8])) {
     }
 }
 
+fn folder(target: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("fuzz/corpus").join(target)
+}
+
 fn corpus(target: &str) -> Vec<(String, Vec<u8>)> {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("fuzz/corpus").join(target);
-    let files = fs::read_dir(folder).unwrap().map(|file| file.unwrap().path());
+    let files = fs::read_dir(folder(target)).unwrap().map(|file| file.unwrap().path());
     files.map(|path| (path.display().to_string(), fs::read(path).unwrap())).collect()
 }
 

@@ -4,7 +4,6 @@
 //! the rules hold: nothing passes without a password, no flow is left of a dropped datagram, an
 //! answer reaches the one client that it belongs to, and every datagram is counted.
 
-mod input;
 mod tables;
 
 use std::collections::{BTreeSet, HashMap};
@@ -13,13 +12,13 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use pnet_nat::nat::{
-    Arrival, Chance, CloseReason, Core, Counters, Credential, Direction, DropReason, Effects,
-    FlowRecord, ListenerId, Mapping, MappingId, NetId, Payload, Rules, SocketKind, Succession,
-    Table, Throttled, ToClient, Transition, UpstreamId,
+    Arrival, Chance, Core, Counters, Credential, Direction, DropReason, FlowRecord, ListenerId,
+    Mapping, Payload, Rules, Succession, Table, ToClient, Transition, UpstreamId,
 };
 use pnet_nat::pnet::wire::{BNA, Datagram, Header, Password};
 
-use input::Input;
+use super::input::Input;
+use super::sockets::Sockets;
 
 /// N-9.
 const REST: Duration = Duration::from_secs(120);
@@ -65,59 +64,6 @@ struct World {
     at_nodes: Vec<(UpstreamId, SocketAddr, Vec<u8>)>,
     /// The last client of each (port, server), and until when it had the pair.
     users: HashMap<(u16, SocketAddr), (SocketAddr, Instant)>,
-}
-
-/// The sockets that the core asks for. A port is given again as soon as it is free.
-#[derive(Default)]
-struct Sockets {
-    limit: usize,
-    ports: HashMap<UpstreamId, u16>,
-    opened_flows: usize,
-    closed_flows: usize,
-    /// Port, server and client of each flow that was closed since the last step.
-    just_closed: Vec<(u16, SocketAddr, SocketAddr)>,
-    throttled: usize,
-}
-
-impl Effects for Sockets {
-    fn open_upstream(
-        &mut self,
-        _: &Table,
-        id: UpstreamId,
-        _: NetId,
-        kind: SocketKind,
-    ) -> Option<u16> {
-        assert!(kind.ipv4 && !self.ports.contains_key(&id), "opened twice");
-        if self.ports.len() >= self.limit {
-            return None;
-        }
-        let port = (50_000..).find(|port| self.ports.values().all(|other| other != port))?;
-        self.ports.insert(id, port);
-        Some(port)
-    }
-
-    fn close_upstream(&mut self, id: UpstreamId) {
-        self.ports.remove(&id).expect("closes what it opened");
-    }
-
-    fn flow_opened(&mut self, _: &Table, flow: &FlowRecord) {
-        assert!(self.ports.values().any(|&port| port == flow.upstream_port));
-        self.opened_flows += 1;
-    }
-
-    fn flow_closed(&mut self, table: &Table, flow: &FlowRecord, _: CloseReason) {
-        self.closed_flows += 1;
-        let server = table.mapping(flow.mapping).server;
-        self.just_closed.push((flow.upstream_port, server, flow.client));
-    }
-
-    fn throttling_begun(&mut self, _: &Table, _: &Throttled, _: MappingId) {
-        self.throttled += 1;
-    }
-
-    fn throttling_ended(&mut self, _: &Throttled) {
-        self.throttled = self.throttled.checked_sub(1).expect("it began");
-    }
 }
 
 impl World {

@@ -29,14 +29,19 @@ impl<'a> Input<'a> {
         among[usize::from(self.octet()) % among.len()].clone()
     }
 
-    /// A request to this node, maybe damaged, or any octets.
+    /// Any octets, as many as one octet says, but not more than `most`.
+    pub(super) fn octets(&mut self, most: usize) -> Vec<u8> {
+        let length = usize::from(self.octet()).min(most).min(self.0.len());
+        let (octets, rest) = self.0.split_at(length);
+        self.0 = rest;
+        octets.to_vec()
+    }
+
+    /// A request to this P-NET node, maybe damaged, or any octets.
     pub(super) fn datagram(&mut self, node_address: u8) -> Vec<u8> {
         let shape = self.octet();
         if shape >= 0xF0 {
-            let length = usize::from(self.octet()).min(MAX_DATAGRAM + 1).min(self.0.len());
-            let (octets, rest) = self.0.split_at(length);
-            self.0 = rest;
-            return octets.to_vec();
+            return self.octets(MAX_DATAGRAM + 1);
         }
         let route: &[u8] = match shape % 4 {
             0 => &[0x0B, node_address, 0x8B, 0x83], // Extended

@@ -9,4 +9,9 @@ pub mod configuration;
 pub mod core;
 pub mod endpoints;
 pub mod ip_net_table;
+pub mod profinet;
+pub mod profinet_device;
 pub mod profinet_rpc;
+
+mod input;
+mod sockets;

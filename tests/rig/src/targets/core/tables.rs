@@ -6,7 +6,7 @@ use std::time::Duration;
 use pnet_nat::nat::{Credential, Limits, Mapping, Net, NetId, NetKind, RequestRate, Rules, Table};
 use pnet_nat::pnet::wire::{Header, Password};
 
-use super::input::Input;
+use super::super::input::Input;
 
 pub(super) fn rules(input: &mut Input<'_>) -> Rules {
     let (table, limits) = table_and_limits(input);
