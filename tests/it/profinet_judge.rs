@@ -3,11 +3,14 @@
 
 mod rpc;
 
-use std::fs;
+use std::fs::{self, Permissions};
+use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
 use std::process::Command;
 
-use crate::harness::{Process, frame, header, left_out};
+use serde_json::{Value, json};
+
+use crate::harness::{Process, frame, header, left_out, pnet_nat};
 
 const JUDGE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/profinet/judge.py");
 const FROM: [u8; 6] = [2, 0, 0, 0, 0, 9];
@@ -256,6 +259,71 @@ fn frames_of_every_kind_are_read_as_tshark_reads_them() {
     assert!(said.contains(&format!(": {} frames in both, ", frames.len())), "{said}");
 }
 
+/// With a Connect in front, cyclic data is cut where tshark cuts it.
+#[test]
+fn submodules_are_those_of_the_connect() {
+    let (controller, device) = ([2, 0, 0, 0, 0, 1], [2, 0, 0, 0, 0, 2]);
+    let [asked, answered] = rpc::connect();
+    let cyclic = |frame_id: u16, data: &[u8]| {
+        let mut payload = [&frame_id.to_be_bytes()[..], data].concat();
+        payload.resize(42, 0);
+        (0x8892, [&payload[..], &[0, 64, 0x35, 0]].concat())
+    };
+    let inputs = cyclic(0x8001, &[0x80, 0x11, 0x22, 0x33, 0x80, 0x80]);
+    let outputs = cyclic(0x8005, &[0xAA, 0xBB, 0x80, 0x80, 0x20]);
+    let mut file = capture(&[]);
+    for ((ether_type, payload), from, to) in [
+        (asked, controller, device),
+        (answered, device, controller),
+        (inputs, device, controller),
+        (outputs, controller, device),
+    ] {
+        let packet = [&to[..], &from, &ether_type.to_be_bytes(), &payload].concat();
+        file.extend(frame(&packet, packet.len()));
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("connect.pcap");
+    fs::write(&path, file).unwrap();
+
+    // The Connect teaches, though it is not shown.
+    let shown = |more: &[&str]| {
+        let arguments = ["decode", path.to_str().unwrap(), "--protocol", "profinet-rt"];
+        let mut decode = Process::start(pnet_nat(&[&arguments, more].concat()));
+        assert_eq!(decode.end(), Some(0), "{}", decode.stderr());
+        decode.stdout()
+    };
+    let json = shown(&["--format", "json"]);
+    let lines = json.lines().map(|line| serde_json::from_str::<Value>(line).unwrap());
+    let parts = |line: Value| {
+        let parts = line["submodules"].as_array().unwrap().clone();
+        parts.into_iter().map(|part| json!([part["data"], part["status"]])).collect::<Vec<_>>()
+    };
+    let inputs = [json!(["", 128]), json!(["112233", 128]), json!([null, 128])];
+    let outputs = [json!(["aabb", 128]), json!([null, 128]), json!([null, 32])];
+    assert_eq!(lines.take(2).map(parts).collect::<Vec<_>>(), [inputs, outputs]);
+    let text = shown(&[]);
+    assert!(text.contains(", 40 octets of 3 parts, 0 bad\n"), "{text}");
+    assert!(text.contains(", 40 octets of 3 parts, 1 bad\n"), "{text}");
+
+    if has_tshark() {
+        let (code, said) = judged(env!("CARGO_BIN_EXE_pnet-nat"), &[&path]);
+        assert_eq!(code, Some(0), "{said}");
+        let doctored = doctored(folder.path(), "s/\"status\":32/\"status\":0/");
+        let (code, said) = judged(&doctored, &[&path]);
+        assert_eq!(code, Some(1), "{said}");
+        assert!(said.contains("pn_io.ioxs: decode has [128, 128, 0]"), "{said}");
+    }
+}
+
+/// A program that decodes, and changes what it says with sed.
+fn doctored(folder: &Path, change: &str) -> String {
+    let program = folder.join("decode");
+    let binary = env!("CARGO_BIN_EXE_pnet-nat");
+    fs::write(&program, format!("#!/bin/sh\n{binary} \"$@\" | sed '{change}'\n")).unwrap();
+    fs::set_permissions(&program, Permissions::from_mode(0o755)).unwrap();
+    program.to_str().unwrap().to_owned()
+}
+
 /// A judge who finds nothing wrong may be blind.
 #[test]
 fn a_field_that_differs_is_found() {
@@ -266,14 +334,7 @@ fn a_field_that_differs_is_found() {
     let file = folder.path().join("frames.pcap");
     let frames = [cyclic(), lldp(), rpc::connection()].concat();
     fs::write(&file, capture(&frames)).unwrap();
-    let program = folder.path().join("decode");
-    let doctored = |change: &str| {
-        let script =
-            format!("#!/bin/sh\n{} \"$@\" | sed '{change}'\n", env!("CARGO_BIN_EXE_pnet-nat"));
-        fs::write(&program, script).unwrap();
-        Command::new("chmod").arg("+x").arg(&program).status().unwrap();
-        judged(program.to_str().unwrap(), &[&file])
-    };
+    let doctored = |change| judged(&doctored(folder.path(), change), &[&file]);
     assert_eq!(doctored("").0, Some(0));
     for (change, said) in [
         (

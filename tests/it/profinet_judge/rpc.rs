@@ -245,6 +245,49 @@ fn connect_response() -> Vec<u8> {
     .concat()
 }
 
+/// A Connect and its answer: slot 0 without data, slot 1 with three octets in and two out, one behind the
+/// other in their frames. The device chooses the frame ID of the outputs.
+pub(super) fn connect() -> [(u16, Vec<u8>); 2] {
+    let asked = [
+        block(
+            0x0101,
+            0x0100,
+            &format!("0001 {AR} 0002 020000000001 {OBJECT} 00000011 0258 8892 0003 706C63"),
+        ),
+        block(
+            0x0102,
+            0x0100,
+            "0001 0001 8892 00000002 0028 8001 0020 0001 0001 0000 FFFFFFFF 0003 0003 C000 \
+             000000000000 0001 00000000 0002 0000 0001 0000 0001 0001 0001 0001 0001 0001 0005",
+        ),
+        block(
+            0x0102,
+            0x0100,
+            "0002 0002 8892 00000002 0028 FFFF 0020 0001 0001 0000 FFFFFFFF 0003 0003 C000 \
+             000000000000 0001 00000000 0001 0001 0001 0000 0002 0000 0001 0003 0001 0001 0004",
+        ),
+        block(0x0103, 0x0100, "0001 8892 00000000 0001 0003 0001 00C8 C000 A000"),
+        block(
+            0x0104,
+            0x0100,
+            "0001 00000000 0000 00000001 0000 0001 0001 00000001 0000 0001 0000 01 01",
+        ),
+        block(
+            0x0104,
+            0x0100,
+            "0001 00000000 0001 00000030 0000 0001 \
+             0001 00000130 0003 0001 0003 01 01 0002 0002 01 01",
+        ),
+    ];
+    let answered = [
+        block(0x8101, 0x0100, &format!("0001 {AR} 0002 020000000002 8892")),
+        block(0x8102, 0x0100, "0001 0001 8001"),
+        block(0x8102, 0x0100, "0002 0002 8005"),
+        block(0x8103, 0x0100, "0001 0005 00C8"),
+    ];
+    [request(ByteOrder::Little, 0, 0, &asked.concat()), response(0, 0, 0, &answered.concat())]
+}
+
 /// What one connection says, step by step.
 pub(super) fn connection() -> Vec<(u16, Vec<u8>)> {
     let control = |block_type: u16, command: u16| {
