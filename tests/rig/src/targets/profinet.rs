@@ -281,7 +281,7 @@ fn mapper_message(frame: &Frame<'_>, header: &Header, message: &Message<'_>) {
         Message::LookupAnswer(answer) => {
             for tower in answer.entries().filter_map(|entry| entry.tower) {
                 assert!(tower.floors().count() <= frame.octets.len());
-                (tower.udp_port(), tower.interface());
+                let _ = (tower.udp_port(), tower.interface());
             }
             return;
         }
