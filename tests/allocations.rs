@@ -23,9 +23,10 @@ use pnet_nat::profinet::lldp::Lldp;
 use pnet_nat::profinet::mrp::Mrp;
 use pnet_nat::profinet::ndr;
 use pnet_nat::profinet::ptcp::Ptcp;
-use pnet_nat::profinet::rpc::{Body, Rpc};
+use pnet_nat::profinet::rpc::{Body, Flags1, Header, PacketType, ReadImplicit, Rpc};
 use pnet_nat::profinet::rt::{CyclicData, PtcpFrame, RtFrame};
 use pnet_nat::profinet::view::first_fault;
+use pnet_nat::profinet::{ByteOrder, ObjectUuid, Uuid};
 use pnet_nat_rig::isolated_core::{
     DEVICE_PASSWORD, Flow, PASSWORD, REST, Rig, Site, arrival, client_endpoint, datagram, garbage,
     largest_request, request, response, server,
@@ -433,6 +434,191 @@ fn frames_of_profinet_are_read_without_allocating() {
     assert_eq!(parts, TIMES * (0x1234 + 1 + 3 + 1 + 1));
 }
 
+fn profinet() -> Site {
+    Site { is_profinet: true, ..Site::default() }
+}
+
+/// A client reads a record: the call with this number.
+fn read(sequence: u32) -> [u8; ReadImplicit::LEN] {
+    let read = ReadImplicit {
+        order: ByteOrder::Big,
+        object: ObjectUuid { instance: 1, device: 2, vendor: 3 }.to_uuid(),
+        activity: Uuid::new(7),
+        sequence,
+        api: 0,
+        slot: 0,
+        subslot: 1,
+        index: 0xAFF0,
+        record_length: 1000,
+        target_ar: Uuid::NIL,
+    };
+    let mut octets = [0; ReadImplicit::LEN];
+    read.emit(&mut octets).unwrap();
+    octets
+}
+
+/// A datagram about the call with this number, with another header than a read has.
+fn about(sequence: u32, body: &[u8], change: impl FnOnce(&mut Header)) -> Vec<u8> {
+    let whole = read(sequence);
+    let mut header = *Rpc::parse(&whole).unwrap().header();
+    change(&mut header);
+    let mut octets = vec![0; Header::LEN + body.len()];
+    header.emit(body, &mut octets).unwrap();
+    octets
+}
+
+/// More calls than a flow has room for, whole and in fragments, each with signals in both directions.
+#[test]
+fn an_exchange_with_a_profinet_device_costs_no_allocation() {
+    let mut rig = Rig::new(&profinet());
+    let (client, mut first) = (arrival(client_endpoint(0), 1), read(0));
+    let to = rig.request(&client, &mut first).unwrap();
+    let device = SocketAddr::new(to.server.ip(), 49_153);
+    let calls: Vec<_> = (1..=20)
+        .map(|call| {
+            let whole = read(call);
+            let (front, back) = whole[Header::LEN..].split_at(50);
+            let fragment = |number, flags, stub| {
+                about(call, stub, |header| {
+                    header.flags1 = Flags1(flags);
+                    header.fragment_number = number;
+                })
+            };
+            let last = Flags1::FRAGMENT | Flags1::LAST_FRAGMENT;
+            let ping = about(call, &[], |header| header.packet_type = PacketType::Ping);
+            let there = [
+                whole.to_vec(),
+                ping,
+                fragment(0, Flags1::FRAGMENT, front),
+                fragment(1, last, back),
+            ];
+            let back = [(PacketType::Working, &[][..]), (PacketType::Response, &[0; 20])]
+                .map(|(kind, body)| about(call, body, |header| header.packet_type = kind));
+            (there, back)
+        })
+        .collect();
+    let mut room = [0; 200];
+    without_allocating(|| {
+        for _ in 0..TIMES {
+            for (there, back) in &calls {
+                for octets in there {
+                    let room = &mut room[..octets.len()];
+                    room.copy_from_slice(octets);
+                    assert_eq!(rig.request(&client, room).unwrap().via, to.via);
+                }
+                for octets in back {
+                    let room = &mut room[..octets.len()];
+                    room.copy_from_slice(octets);
+                    assert_eq!(rig.response(to.via, device, room).unwrap().client, client.client);
+                }
+            }
+        }
+    });
+}
+
+#[test]
+fn a_dropped_request_to_a_profinet_device_costs_no_allocation() {
+    let outside: SocketAddr = "192.0.2.1:7".parse().unwrap();
+    let member = client_endpoint(0);
+    let whole = read(1);
+    let changed = |at: usize, to: u8| {
+        let mut octets = whole.to_vec();
+        octets[at] = to;
+        octets
+    };
+    let operation =
+        |operation| about(1, &whole[Header::LEN..], |header| header.operation = operation);
+    let ping = about(1, &[], |header| header.packet_type = PacketType::Ping);
+    // The sender is a stranger wherever the check comes before that of the source.
+    let cases: [(DropReason, SocketAddr, Vec<u8>); 20] = [
+        (DropReason::NotUnicast, member, whole.to_vec()),
+        (DropReason::TooShort, outside, whole[..79].to_vec()),
+        (DropReason::TooLong, outside, vec![4; 1473]),
+        (DropReason::BadHeader, outside, changed(0, 5)),
+        (DropReason::BadLength, outside, [&whole[..], &[0]].concat()),
+        (DropReason::Broadcast, outside, changed(2, Flags1::BROADCAST)),
+        (DropReason::PacketType, outside, changed(1, PacketType::Response as u8)),
+        (DropReason::RpcInterface, outside, operation(6)),
+        (DropReason::RpcConnect, outside, operation(0)),
+        (DropReason::RpcRelease, outside, operation(1)),
+        (DropReason::RpcRead, outside, operation(2)),
+        (DropReason::RpcWrite, outside, operation(3)),
+        (DropReason::RpcControl, outside, operation(4)),
+        (DropReason::RecordNotAllowed, outside, changed(Header::LEN + 54, 0xE0)),
+        (DropReason::BadNdr, outside, changed(Header::LEN + 21, 8)),
+        (DropReason::Loop, SocketAddr::new(arrival(member, 1).public_address, 0), whole.to_vec()),
+        (DropReason::Unanswerable, SocketAddr::new(outside.ip(), 0), whole.to_vec()),
+        (DropReason::SourceNotAllowed, outside, whole.to_vec()),
+        (DropReason::UnknownExchange, member, ping),
+        (DropReason::FlowLimit, client_endpoint(2), whole.to_vec()),
+    ];
+    let mut rig = Rig::new(&Site { max_flows: 1, ..profinet() });
+    rig.request(&arrival(member, 1), &mut read(0)).unwrap();
+    let mut seen = Vec::new();
+    for (reason, client, octets) in cases {
+        let mut arrival = arrival(client, 1);
+        if reason == DropReason::NotUnicast {
+            arrival.public_address = Ipv4Addr::UNSPECIFIED.into();
+        }
+        without_allocating(|| {
+            (0..TIMES).for_each(|_| expect_drop(&mut rig, &arrival, &octets, reason));
+        });
+        seen.push(reason);
+    }
+
+    let arrival = arrival(member, 1);
+    let mut rig = Rig::new(&Site { sockets: 0, ..profinet() });
+    let exhausted = DropReason::UpstreamExhausted;
+    without_allocating(|| {
+        (0..TIMES).for_each(|_| expect_drop(&mut rig, &arrival, &whole, exhausted));
+    });
+    seen.push(exhausted);
+
+    let mut rig = Rig::new(&Site { max_requests: Some(RequestRate::new(1)), ..profinet() });
+    let limit = DropReason::RequestLimit;
+    rig.request(&arrival, &mut read(0)).unwrap();
+    without_allocating(|| {
+        (0..TIMES).for_each(|_| expect_drop(&mut rig, &arrival, &whole, limit));
+    });
+    seen.push(limit);
+
+    let left_out = DropReason::RPC_REQUEST.iter().filter(|reason| !seen.contains(reason));
+    assert!(left_out.eq([&DropReason::SendFailed]), "the core does not send");
+}
+
+#[test]
+fn a_dropped_response_of_a_profinet_device_costs_no_allocation() {
+    let mut rig = Rig::new(&profinet());
+    let to = rig.request(&arrival(client_endpoint(0), 1), &mut read(1)).unwrap();
+    let device = SocketAddr::new(to.server.ip(), 49_153);
+    let stranger: SocketAddr = "172.17.17.200:34964".parse().unwrap();
+    let answer =
+        |sequence, body| about(sequence, body, |header| header.packet_type = PacketType::Response);
+    let sound = answer(1, &[0; 20]);
+    let cases: [(DropReason, SocketAddr, Vec<u8>); 8] = [
+        (DropReason::UnknownFlow, stranger, sound.clone()),
+        (DropReason::TooShort, device, sound[..79].to_vec()),
+        (DropReason::TooLong, device, vec![4; 1473]),
+        (DropReason::BadHeader, device, [&[5], &sound[1..]].concat()),
+        (DropReason::BadLength, device, sound[..99].to_vec()),
+        (DropReason::PacketType, device, read(1).to_vec()),
+        (DropReason::BadNdr, device, answer(1, &[1; 20])),
+        (DropReason::UnknownExchange, device, answer(2, &[0; 20])),
+    ];
+    for (reason, from, octets) in &cases {
+        let mut octets = octets.clone();
+        without_allocating(|| {
+            for _ in 0..TIMES {
+                let verdict = rig.response(to.via, *from, &mut octets);
+                assert_eq!(verdict.err(), Some(*reason));
+            }
+        });
+    }
+    let seen = |reason| cases.iter().any(|(case, ..)| *case == reason);
+    let left_out = DropReason::RPC_RESPONSE.iter().filter(|&&reason| !seen(reason));
+    assert!(left_out.eq([&DropReason::SendFailed]), "the core does not send");
+}
+
 #[test]
 fn memory_of_100_000_flows() {
     const FLOWS: u32 = 100_000;
@@ -464,7 +650,7 @@ fn exchange(rig: &mut Rig, flow: &Flow, asked: &mut [u8], answer: &mut [u8]) {
 
 /// A datagram that is dropped is not changed, so it may be sent again.
 fn expect_drop(rig: &mut Rig, arrival: &Arrival, octets: &[u8], reason: DropReason) {
-    let mut copy = [0; 120];
+    let mut copy = [0; 1500];
     let copy = &mut copy[..octets.len()];
     copy.copy_from_slice(octets);
     let verdict = rig.request(arrival, copy);

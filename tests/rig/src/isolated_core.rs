@@ -13,8 +13,8 @@ use fastrand::Rng;
 use ipnet::IpNet;
 use pnet_nat::nat::{
     Arrival, Chance, Core, Counters, Credential, DropReason, Effects, Limits, ListenerId, Mapping,
-    MappingId, Net, NetId, NetKind, Payload, RequestRate, Rules, SocketKind, Succession, Table,
-    ToClient, ToServer, Transition, UpstreamId,
+    MappingId, Net, NetId, NetKind, Payload, Records, RequestRate, Rules, SocketKind, Succession,
+    Table, ToClient, ToServer, Transition, UpstreamId,
 };
 use pnet_nat::pnet::wire::{Header, Password};
 
@@ -51,6 +51,8 @@ pub struct Site {
     pub password: &'static [u8; 8],
     /// Whether the nodes are in another plant, so that clients send no password.
     pub is_remote: bool,
+    /// Whether there are PROFINET devices, without passwords, instead of nodes.
+    pub is_profinet: bool,
     /// Networks that clients may come from.
     pub allow: Vec<IpNet>,
 }
@@ -65,6 +67,7 @@ impl Default for Site {
             device_password: false,
             password: PASSWORD,
             is_remote: false,
+            is_profinet: false,
             allow: vec!["10.0.0.0/8".parse().unwrap()],
         }
     }
@@ -73,18 +76,24 @@ impl Default for Site {
 impl Site {
     fn table_and_limits(&self) -> (Arc<Table>, Limits) {
         let start_port = START_PORT;
-        let kind = match self.is_remote {
-            true => NetKind::Remote { start_port },
-            false => NetKind::UdpRange { start_port },
+        let kind = match (self.is_remote, self.is_profinet) {
+            (true, _) => NetKind::Remote { start_port },
+            (_, true) => NetKind::ProfinetDevice { records: Records::default() },
+            _ => NetKind::UdpRange { start_port },
         };
+        let mut credentials = vec![Credential {
+            name: "service".into(),
+            password: Password::new(*self.password),
+            device_password: self.device_password.then(|| Password::new(*DEVICE_PASSWORD)),
+        }];
+        if self.is_profinet {
+            credentials.clear();
+        }
         let net = Net {
             allow: self.allow.clone(),
-            credentials: vec![Credential {
-                name: "service".into(),
-                password: Password::new(*self.password),
-                device_password: self.device_password.then(|| Password::new(*DEVICE_PASSWORD)),
-            }],
-            require_response_password: true,
+            credentials,
+            allow_without_password: self.is_profinet,
+            require_response_password: !self.is_profinet,
             idle_timeout: IDLE_TIMEOUT,
             max_flows: self.max_flows,
             max_requests: self.max_requests,
