@@ -256,7 +256,9 @@ impl World {
         self.passed[1] += 1;
     }
 
+    /// All flows go over to a new configuration within moments, so its idle timeout holds by then.
     fn pass_time(&mut self, input: &mut Input<'_>) {
+        self.go_over();
         let unit = input.choice(&[1, 250, 5_000, 60_000]);
         self.now += Duration::from_millis(unit * u64::from(input.octet()));
         let idle_timeout = self.rules.table.net(NetId(0)).idle_timeout;
