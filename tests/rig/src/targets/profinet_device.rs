@@ -11,7 +11,7 @@ mod datagrams;
 mod reading;
 pub mod seeds;
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeSet, HashMap};
 use std::net::{IpAddr, SocketAddr};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -71,6 +71,8 @@ struct World {
     /// Whether some flows may not have gone over to the rules yet.
     going_over: bool,
     calls: Calls,
+    /// The last client of each upstream port, and until when it had the port.
+    users: HashMap<u16, (SocketAddr, Instant)>,
     passed: [u64; 2],
 }
 
@@ -82,7 +84,7 @@ impl World {
         let counters = Arc::new(Counters::new(&rules.table));
         let core = Core::new(rules.clone(), Arc::clone(&counters), now, Chance::from_seed(1));
         let sockets = Sockets { limit: 8, ..Sockets::default() };
-        let calls = Calls::default();
+        let (calls, users) = (Calls::default(), HashMap::new());
         Self {
             core,
             counters,
@@ -92,6 +94,7 @@ impl World {
             records,
             going_over: false,
             calls,
+            users,
             passed: [0; 2],
         }
     }
@@ -124,8 +127,9 @@ impl World {
 
     /// What is known of the calls of a flow goes with it.
     fn forget_closed(&mut self) {
-        for (port, ..) in std::mem::take(&mut self.sockets.just_closed) {
+        for (port, _, client) in std::mem::take(&mut self.sockets.just_closed) {
             self.calls.forget(port);
+            self.users.insert(port, (client, self.now));
         }
     }
 
@@ -170,12 +174,21 @@ impl World {
         assert_eq!(after.len(), before.len() + usize::from(!known));
         let flow = after.iter().find(|flow| is_its(flow)).expect("it has a flow");
         assert_eq!((flow.upstream_port, flow.idle), (self.sockets.ports[&to.via], Duration::ZERO));
+        self.use_port(flow);
         self.reached(&sent, flow, &to);
         if !is_sent {
             return self.core.send_failed(MAPPING, Direction::Request);
         }
         self.core.request_sent(self.now, MAPPING, to.asks, sent.len());
         self.passed[0] += 1;
+    }
+
+    /// A port is for one client, and later for another one: a late answer must not reach that.
+    fn use_port(&mut self, flow: &FlowRecord) {
+        let previous = self.users.insert(flow.upstream_port, (flow.client, self.now));
+        if let Some((other, last)) = previous.filter(|(other, _)| *other != flow.client) {
+            assert!(self.now - last >= REST, "N-9: the port of {other} for {}", flow.client);
+        }
     }
 
     /// What the device receives is a part of a read or of a look-up, and goes where its call is
@@ -185,7 +198,7 @@ impl World {
         let (header, part) = (rpc.header(), reading::part_of(&rpc, self.records));
         let device: SocketAddr = DEVICE.parse().unwrap();
         assert_eq!(to.server.ip(), device.ip());
-        let call = self.calls.asked(self.now, flow, header);
+        let call = self.calls.asked(self.now, flow, header, to.server.port());
         match (call.port, call.is_certain) {
             (0, true) => assert_eq!(to.server, device),
             (port, true) => assert_eq!(to.server.port(), port, "P-8"),
@@ -248,6 +261,7 @@ impl World {
         assert_eq!(to, expected, "an answer to another client, or from elsewhere");
         let rpc = Rpc::parse(&sent).expect("it is checked whole");
         assert!(!rpc.header().packet_type.is_from_client(), "a call of the device");
+        self.use_port(&flow);
         self.calls.answered(self.now, &flow, rpc.header(), from.port());
         if !is_sent {
             return self.core.send_failed(MAPPING, Direction::Response);
@@ -259,6 +273,7 @@ impl World {
     /// All flows go over to a new configuration within moments, so its idle timeout holds by then.
     fn pass_time(&mut self, input: &mut Input<'_>) {
         self.go_over();
+        self.forget_closed();
         let unit = input.choice(&[1, 250, 5_000, 60_000]);
         self.now += Duration::from_millis(unit * u64::from(input.octet()));
         let idle_timeout = self.rules.table.net(NetId(0)).idle_timeout;

@@ -69,8 +69,14 @@ impl Calls {
         latest.is_some_and(|call| call.name == name && now - call.last < EXPIRY)
     }
 
-    /// Notes a datagram that has passed to the device.
-    pub(super) fn asked(&mut self, now: Instant, flow: &FlowRecord, header: &Header) -> Known {
+    /// Notes a datagram that has passed to this port of the device.
+    pub(super) fn asked(
+        &mut self,
+        now: Instant,
+        flow: &FlowRecord,
+        header: &Header,
+        to: u16,
+    ) -> Known {
         let (flow, name) = (flow.upstream_port, name(header));
         let is_certain = self.is_certain(now, flow, name);
         let before = self.place(flow, name).map(|place| self.0.remove(place));
@@ -78,7 +84,9 @@ impl Calls {
         let (was_known, port) = (before.is_some(), before.as_ref().map_or(0, |call| call.port));
         let (pieces, order) = (Vec::new(), header.representation.order);
         let new = Call { flow, name, last: now, port: 0, pieces, order, end: None };
-        self.0.push(Call { last: now, ..before.unwrap_or(new) });
+        // Where the router has forgotten the call, it has begun again, without an answer.
+        let port_now = if to == port { port } else { 0 };
+        self.0.push(Call { last: now, port: port_now, ..before.unwrap_or(new) });
         // A call that begins has no port for certain.
         Known { was_known, is_certain: is_certain || !was_known, port }
     }
@@ -99,7 +107,7 @@ impl Calls {
         if number == 0 {
             let first = call.pieces.iter().find(|(other, _)| *other == 0);
             let is_again = first.is_some_and(|(_, first)| first == stub);
-            // Where the router has forgotten the call, it begins again.
+            // The router may have forgotten the call; then it begins again.
             if !is_again || !is_certain {
                 (call.pieces, call.end) = (Vec::new(), None);
                 call.order = header.representation.order;
