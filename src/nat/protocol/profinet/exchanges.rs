@@ -69,7 +69,10 @@ impl Begun {
         let first = if is_begun { self.first } else { stub.len() };
         let start = usize::from(number) * first;
         let end = start + stub.len();
-        let fits = if is_last { end == read::LEN } else { stub.len() == first && end < read::LEN };
+        let fits = match is_last {
+            true => end == read::LEN,
+            false => stub.len() == first && end < read::LEN && read::may_end_behind(end),
+        };
         // Who puts the fragments together takes the byte order of one of them for all.
         if !fits || start > self.len || is_begun && order != self.order {
             return None;
@@ -125,6 +128,9 @@ impl Exchanges {
             None => self.begin(request, now),
         };
         exchange.last = now;
+        if let Part::Whole = request.part {
+            exchange.operation = request.operation;
+        }
         if let Part::Fragment(fragment) = &request.part {
             exchange.begun = exchange.begun.with(fragment).unwrap_or(exchange.begun);
         }

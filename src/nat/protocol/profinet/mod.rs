@@ -122,7 +122,9 @@ fn part_of<'a>(
             }
             if number == 0 {
                 read::check(stub, order, records)?;
-                if is_whole != (stub.len() == read::LEN) {
+                if is_whole != (stub.len() == read::LEN)
+                    || !is_whole && !read::may_end_behind(stub.len())
+                {
                     return Err(DropReason::BadNdr);
                 }
             }

@@ -160,7 +160,7 @@ fn verdicts(datagrams: &[Vec<u8>]) -> Vec<Result<bool, DropReason>> {
 #[test]
 fn p_8_fragments_are_checked_as_they_come() {
     for order in [ByteOrder::Big, ByteOrder::Little] {
-        for octets_each in [1, 28, 30, 42, 83] {
+        for octets_each in [20, 28, 30, 42, 83] {
             let sound = fragments(order, octets_each, |_| ());
             let seen = verdicts(&sound);
             let (last, before) = seen.split_last().unwrap();
@@ -223,13 +223,25 @@ fn p_8_fragments_that_do_not_belong_together_are_refused() {
 fn p_8_fragments_of_two_byte_orders_are_refused() {
     for (order, other) in [(ByteOrder::Big, ByteOrder::Little), (ByteOrder::Little, ByteOrder::Big)]
     {
-        // The first piece ends before the first number does, so that both orders suit it.
-        let mut fragments = fragments(order, 3, |_| ());
-        fragments[0] = with_header(&fragments[0], |header| header.representation.order = other);
+        let mut fragments = fragments(order, 28, |_| ());
+        fragments[1] = with_header(&fragments[1], |header| header.representation.order = other);
         let verdicts = verdicts(&fragments);
         assert_eq!(verdicts[0], Ok(false));
         assert!(verdicts[1..].iter().all(|it| *it == Err(DropReason::BadNdr)), "{verdicts:?}");
     }
+}
+
+/// Fragments of two requests that a device takes for one are a read that may pass, too.
+#[test]
+fn p_8_what_is_checked_together_is_in_one_fragment() {
+    let refused = |octets_each: usize| {
+        let verdicts = verdicts(&fragments(ByteOrder::Big, octets_each, |_| ()));
+        verdicts.into_iter().find_map(Result::err)
+    };
+    for inside in [1, 3, 19, 55] {
+        assert_eq!(refused(inside), Some(DropReason::BadNdr), "cut behind {inside} octets");
+    }
+    assert!([20, 21, 54, 56].iter().all(|between| refused(*between).is_none()));
 }
 
 #[test]

@@ -11,7 +11,7 @@ use super::calls::Name;
 const INDEXES: [u16; 8] = [0xAFF0, 0xF841, 0xF80C, 0xF821, 0xE040, 0x0001, 0x800B, 0xAFF6];
 
 /// Octets of each fragment of a read, which has 84.
-const PIECES: [usize; 8] = [28, 42, 83, 50, 21, 4, 1, 84];
+const PIECES: [usize; 8] = [28, 42, 83, 50, 21, 30, 4, 84];
 
 /// What a client sends.
 pub(super) struct Sent {
