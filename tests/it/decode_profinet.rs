@@ -6,6 +6,7 @@ use std::process::Command;
 use serde_json::{Value, json};
 
 use crate::harness::{Process, frame, header, pnet_nat, request, udp};
+use crate::profinet_judge::rpc::connect;
 
 const CONTROLLER: [u8; 6] = [2, 0, 0, 0, 0, 9];
 const DEVICE: [u8; 6] = [2, 0, 0, 0, 0, 1];
@@ -133,6 +134,45 @@ fn a_tree_has_all_that_json_has() {
             "    submodules: none",
         ]
     );
+}
+
+/// The Connect is of these two stations, with alarms from end 1 in the controller to end 5 in the device.
+#[test]
+fn the_summary_is_by_ar_where_the_capture_has_the_connect() {
+    let (controller, device, stranger) =
+        ([2, 0, 0, 0, 0, 1], [2, 0, 0, 0, 0, 2], [2, 0, 0, 0, 0, 3]);
+    let between = |from: [u8; 6], to: [u8; 6], ether_type: u16, behind: &[u8]| {
+        [&to[..], &from, &ether_type.to_be_bytes(), behind].concat()
+    };
+    let rt = |from, to, id: u16, counter| {
+        let behind = [&id.to_be_bytes()[..], &[0; 40], &[0, counter, 0x35, 0]].concat();
+        between(from, to, 0x8892, &behind)
+    };
+    let alarm = [0xFE, 0x01, 0, 1, 0, 5, 0x11, 0x11, 0, 0, 0xFF, 0xFF, 0, 0];
+    let [asked, answered] = connect();
+    let capture = at([
+        (0, &rt(stranger, controller, 0x8001, 0)[..]),
+        (1, &between(controller, device, asked.0, &asked.1)),
+        (2, &between(device, controller, answered.0, &answered.1)),
+        (1_000, &rt(device, controller, 0x8001, 32)),
+        (1_100, &rt(controller, device, 0x8005, 32)),
+        (2_000, &rt(device, controller, 0x8001, 64)),
+        (3_000, &between(device, controller, 0x8892, &alarm)),
+    ]);
+    let summary = objects(&capture, &[]).pop().unwrap();
+    let summary = &summary["profinet_summary"];
+    let [ar] = &summary["ars"].as_array().unwrap()[..] else { panic!("{summary}") };
+    let sums = ["streams", "frames", "gaps", "data_status_changes", "alarms", "aborts"];
+    assert_eq!(sums.map(|name| ar[name].as_u64().unwrap()), [3, 4, 0, 0, 1, 0]);
+    let ars: Vec<_> =
+        summary["streams"].as_array().unwrap().iter().map(|stream| &stream["ar"]).collect();
+    assert_eq!(ars, [&ar["ar"], &ar["ar"], &ar["ar"], &Value::Null]);
+
+    let text = shown(&capture, &[]);
+    let first: Vec<_> =
+        text.lines().filter_map(|line| line.split(" | ").next()?.strip_prefix("| ")).collect();
+    let digits = &ar["ar"].as_str().unwrap()[..8];
+    assert_eq!(first, ["AR      ", digits, digits, digits, "–       "]);
 }
 
 /// A Linux cooked capture has no receiver.

@@ -1,7 +1,7 @@
 //! `pnet-nat decode` beside tshark on frames of PROFINET: `tests/profinet/judge.py` compares them field by
 //! field, on frames made here, and on real captures where `PNET_NAT_CAPTURES` names a folder of them.
 
-mod rpc;
+pub(crate) mod rpc;
 
 use std::fs::{self, Permissions};
 use std::os::unix::fs::PermissionsExt;

@@ -247,7 +247,7 @@ fn connect_response() -> Vec<u8> {
 
 /// A Connect and its answer: slot 0 without data, slot 1 with three octets in and two out, one behind the
 /// other in their frames. The device chooses the frame ID of the outputs.
-pub(super) fn connect() -> [(u16, Vec<u8>); 2] {
+pub(crate) fn connect() -> [(u16, Vec<u8>); 2] {
     let asked = [
         block(
             0x0101,

@@ -5,6 +5,8 @@ use std::fmt::{self, Display};
 use serde::{Serialize, Serializer};
 
 use super::Fault;
+use super::connections::Connections;
+use super::ethernet::Ethernet;
 use super::rpc::write_blocks;
 use super::rpc_value::{Elements, Fields};
 use super::words::Shown;
@@ -13,7 +15,7 @@ use crate::profinet::alarm::{AlarmFrame, PduType};
 use crate::profinet::blocks::Blocks;
 use crate::profinet::rt::FrameId;
 use crate::profinet::view::{Value, fault_of};
-use crate::profinet::{Octets, PnioStatus};
+use crate::profinet::{Octets, PnioStatus, Uuid};
 
 /// What such a frame says.
 #[derive(Debug, Serialize)]
@@ -24,6 +26,8 @@ pub(in crate::cli::decode) struct AlarmFields<'a> {
     header: Option<Header<'a>>,
     #[serde(flatten)]
     pub(super) fault: Option<Fault>,
+    #[serde(skip)]
+    pub(super) ar: Option<Uuid>,
 }
 
 #[derive(Debug, Serialize)]
@@ -63,7 +67,16 @@ impl<'a> AlarmFields<'a> {
         let blocks = header.as_ref().and_then(|header| header.blocks);
         let in_blocks = blocks.and_then(|blocks| fault_of(Value::List(&blocks)));
         let fault = fault.or_else(|| in_blocks.map(Fault::from));
-        Self { frame_id: frame_id.0, frame_id_name: frame_id.name(), header, fault }
+        Self { frame_id: frame_id.0, frame_id_name: frame_id.name(), header, fault, ar: None }
+    }
+
+    /// The same as part of its AR.
+    pub(super) fn with_ar(self, frame: &Ethernet<'_>, connections: &Connections) -> Self {
+        let ar = self.header.as_ref().zip(frame.to).and_then(|(header, to)| {
+            let from = (frame.from, header.source_endpoint);
+            connections.ar_of_alarms([from, (to, header.destination_endpoint)])
+        });
+        Self { ar, ..self }
     }
 
     /// Which queue, and what the frame is.

@@ -1,8 +1,9 @@
-//! Which submodules cyclic data is of. The Connect that made a connection tells it, so it has to be in the
-//! capture, with its answer: request for the places, answer for the frame IDs and the device.
+//! Which AR a frame belongs to, and which submodules cyclic data is of. The Connect that made an AR tells it,
+//! so it has to be in the capture, with its answer: request for the places, answer for the frame IDs and the
+//! device. Alarms are known by the references that both sides gave their ends.
 //!
 //! Invariant: memory has a bound, whatever the capture holds: [`WAITING`] requests wait for their answer,
-//! [`STREAMS`] streams are known, and each has at most [`PARTS`] parts.
+//! [`STREAMS`] streams and [`ALARMS`] alarm connections are known, and a stream has at most [`PARTS`] parts.
 
 use std::collections::{HashMap, VecDeque};
 
@@ -19,6 +20,8 @@ use crate::profinet::{MacAddress, Uuid};
 const WAITING: usize = 64;
 /// Streams whose submodules are known.
 const STREAMS: usize = 1024;
+/// Alarm connections whose AR is known.
+const ALARMS: usize = 1024;
 /// Streams of one connection.
 const OF_CONNECTION: usize = 16;
 /// Parts of a frame: it has no room for more.
@@ -34,7 +37,12 @@ pub(in crate::cli::decode) struct Connections {
     /// The one that has waited longest first.
     asked: VecDeque<Asked>,
     layouts: HashMap<(MacAddress, MacAddress, FrameId), Layout, RandomState>,
+    /// By both ends, the lower one first.
+    alarms: HashMap<[End; 2], Uuid, RandomState>,
 }
+
+/// An end of an alarm connection, and the reference that it gave itself.
+pub(super) type End = (MacAddress, u16);
 
 /// A Connect request.
 #[derive(Debug)]
@@ -42,6 +50,7 @@ struct Asked {
     ar_uuid: Uuid,
     controller: MacAddress,
     streams: Vec<AskedStream>,
+    alarm_reference: Option<u16>,
 }
 
 #[derive(Debug)]
@@ -52,9 +61,12 @@ struct AskedStream {
     layout: Layout,
 }
 
-/// The parts of a frame of cyclic data, in the order of their offsets.
-#[derive(Clone, Debug, Default)]
-pub(super) struct Layout(Vec<Part>);
+/// The AR of cyclic data, and the parts of a frame in the order of their offsets.
+#[derive(Clone, Debug)]
+pub(super) struct Layout {
+    pub(super) ar: Uuid,
+    parts: Vec<Part>,
+}
 
 /// Data of a submodule with the provider's status, or a consumer's status alone.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -69,7 +81,7 @@ pub(super) struct Part {
 
 impl Layout {
     pub(super) fn parts(&self) -> &[Part] {
-        &self.0
+        &self.parts
     }
 }
 
@@ -88,16 +100,20 @@ impl Connections {
         });
         expected.0.sort_unstable_by_key(|(place, _)| *place);
         let streams = contents().filter_map(|it| match it {
-            Contents::IoCrBlockReq(cr) => Some(AskedStream::of(&cr, &expected)),
+            Contents::IoCrBlockReq(cr) => Some(AskedStream::of(ar.ar_uuid, &cr, &expected)),
             _ => None,
         });
         let streams = streams.take(OF_CONNECTION).collect();
+        let alarm_reference = contents().find_map(|it| match it {
+            Contents::AlarmCrBlockReq(cr) => Some(cr.local_alarm_reference),
+            _ => None,
+        });
         self.asked.retain(|asked| asked.ar_uuid != ar.ar_uuid);
         if self.asked.len() == WAITING {
             self.asked.pop_front();
         }
         let controller = ar.cm_initiator_mac_add;
-        self.asked.push_back(Asked { ar_uuid: ar.ar_uuid, controller, streams });
+        self.asked.push_back(Asked { ar_uuid: ar.ar_uuid, controller, streams, alarm_reference });
     }
 
     /// Learns from the blocks of the answer. A refusal has none.
@@ -109,6 +125,16 @@ impl Connections {
         let place = self.asked.iter().position(|asked| asked.ar_uuid == ar.ar_uuid);
         let Some(asked) = place.and_then(|place| self.asked.remove(place)) else { return };
         let device = ar.cm_responder_mac_add;
+        let reference = contents().find_map(|it| match it {
+            Contents::AlarmCrBlockRes(cr) => Some(cr.local_alarm_reference),
+            _ => None,
+        });
+        if let Some((of_controller, of_device)) = asked.alarm_reference.zip(reference) {
+            let ends = sorted([(asked.controller, of_controller), (device, of_device)]);
+            if self.alarms.len() < ALARMS || self.alarms.contains_key(&ends) {
+                self.alarms.insert(ends, asked.ar_uuid);
+            }
+        }
         for stream in asked.streams {
             let given = contents().find_map(|it| match it {
                 Contents::IoCrBlockRes(cr) if cr.iocr_reference == stream.reference => {
@@ -140,6 +166,16 @@ impl Connections {
         }
         self.layouts.get(&(from, to?, frame_id))
     }
+
+    /// The AR of an alarm connection between these ends.
+    pub(super) fn ar_of_alarms(&self, ends: [End; 2]) -> Option<Uuid> {
+        self.alarms.get(&sorted(ends)).copied()
+    }
+}
+
+fn sorted(mut ends: [End; 2]) -> [End; 2] {
+    ends.sort_unstable();
+    ends
 }
 
 /// API, slot and subslot.
@@ -172,7 +208,7 @@ impl Expected {
 }
 
 impl AskedStream {
-    fn of(cr: &IoCrBlockReq<'_>, expected: &Expected) -> Self {
+    fn of(ar: Uuid, cr: &IoCrBlockReq<'_>, expected: &Expected) -> Self {
         let direction = cr.iocr_type;
         let mut parts = Vec::new();
         for api in cr.apis.iter() {
@@ -195,9 +231,9 @@ impl AskedStream {
         }
         parts.sort_by_key(|part| part.offset);
         let frame_id = FrameId(cr.frame_id);
-        Self { direction, reference: cr.iocr_reference, frame_id, layout: Layout(parts) }
+        Self { direction, reference: cr.iocr_reference, frame_id, layout: Layout { ar, parts } }
     }
 }
 
 #[cfg(test)]
-mod tests;
+pub(super) mod tests;

@@ -28,9 +28,9 @@ use std::fmt::{self, Display};
 
 use serde::Serialize;
 
-use crate::profinet::Malformed;
 use crate::profinet::alarm::PduType;
 use crate::profinet::rt::{ApduStatus, FrameId, FrameKind, RtFrame};
+use crate::profinet::{Malformed, Uuid};
 use crate::profinet::{lldp as lldp_wire, mrp as mrp_wire};
 
 pub(super) use connections::Connections;
@@ -111,7 +111,8 @@ impl<'a> Fields<'a> {
         let (id, behind) = (rt.frame_id, rt.behind);
         match id.kind() {
             FrameKind::Alarm(_) => {
-                (Protocol::ProfinetAlarm, Self::Alarm(alarm::AlarmFields::of(id, behind)))
+                let fields = alarm::AlarmFields::of(id, behind).with_ar(frame, connections);
+                (Protocol::ProfinetAlarm, Self::Alarm(fields))
             }
             FrameKind::Dcp(_) => (Protocol::ProfinetDcp, Self::Dcp(dcp::DcpFields::of(id, behind))),
             FrameKind::Ptcp(kind) => {
@@ -149,6 +150,15 @@ impl<'a> Fields<'a> {
     /// Whether it is cyclic data that was cut into submodules.
     pub(super) fn has_submodules(&self) -> bool {
         matches!(self, Self::Rt(it) if it.has_submodules())
+    }
+
+    /// The AR that it belongs to, where the Connect is known.
+    pub(super) fn ar(&self) -> Option<Uuid> {
+        match self {
+            Self::Rt(it) => it.ar,
+            Self::Alarm(it) => it.ar,
+            _ => None,
+        }
     }
 
     /// The kind of an alarm's frame.

@@ -9,6 +9,7 @@ use super::connections::Layout;
 use super::submodules::Submodules;
 use super::words::Shown;
 use crate::cli::output::Hex;
+use crate::profinet::Uuid;
 use crate::profinet::rt::{
     ApduStatus, CyclicData, DataStatus, FrameId, FrameKind, RtFrame, TransferStatus,
 };
@@ -24,6 +25,8 @@ pub(in crate::cli::decode) struct RtFields<'a> {
     data: Shown<Hex<'a>>,
     /// Null where the Connect of this stream is not in the capture.
     submodules: Option<Submodules<'a>>,
+    #[serde(skip)]
+    pub(super) ar: Option<Uuid>,
     #[serde(flatten)]
     pub(super) fault: Option<Fault>,
 }
@@ -72,14 +75,16 @@ impl<'a> RtFields<'a> {
             data_length: data.len(),
             data: Shown(Hex(data)),
             submodules: None,
+            ar: None,
             fault,
         }
     }
 
-    /// The same, cut into submodules.
+    /// The same as part of its AR, cut into submodules.
     pub(super) fn with_layout(self, layout: Option<&'a Layout>) -> Self {
         let whole = layout.filter(|_| self.status.is_some());
-        Self { submodules: whole.map(|layout| Submodules::new(layout, self.data.0.0)), ..self }
+        let submodules = whole.map(|layout| Submodules::new(layout, self.data.0.0));
+        Self { submodules, ar: layout.map(|layout| layout.ar), ..self }
     }
 
     /// Whether it is cut into submodules.

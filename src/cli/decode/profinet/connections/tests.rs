@@ -4,8 +4,8 @@ use super::super::submodules::Submodules;
 use super::*;
 use crate::profinet::Octets;
 
-const CONTROLLER: MacAddress = MacAddress([2, 0, 0, 0, 1, 0]);
-const DEVICE: MacAddress = MacAddress([2, 0, 0, 0, 0, 9]);
+pub(in super::super) const CONTROLLER: MacAddress = MacAddress([2, 0, 0, 0, 1, 0]);
+pub(in super::super) const DEVICE: MacAddress = MacAddress([2, 0, 0, 0, 0, 9]);
 /// In the request: the device chooses.
 const OPEN: u16 = 0xFFFF;
 
@@ -48,7 +48,12 @@ fn expected() -> Vec<u8> {
 fn request(ar: u8) -> Vec<u8> {
     let input = cr_request(1, 0x8001, &[[0, 1, 0], [1, 1, 2]], &[[1, 1, 1]]);
     let output = cr_request(2, OPEN, &[[1, 1, 0]], &[[0, 1, 4], [1, 1, 5]]);
-    [ar_request(ar), input, output, expected()].concat()
+    [ar_request(ar), input, output, alarm_request(ar.into()), expected()].concat()
+}
+
+fn alarm_request(reference: u16) -> Vec<u8> {
+    let front = [0, 1, 0x88, 0x92, 0, 0, 0, 0, 0, 1, 0, 3];
+    block(0x0103, &[&front, &reference.to_be_bytes(), &[0, 200, 0xC0, 0, 0xA0, 0]])
 }
 
 fn answer(ar: u8) -> Vec<u8> {
@@ -57,7 +62,15 @@ fn answer(ar: u8) -> Vec<u8> {
         let [high, low] = frame_id.to_be_bytes();
         block(0x8102, &[&[0, kind, 0, kind, high, low]])
     };
-    [block(0x8101, &[&front]), cr(1, 0x8001), cr(2, 0x8005)].concat()
+    let alarms = block(0x8103, &[&[0, 1, 0, 5, 0, 200]]);
+    [block(0x8101, &[&front]), cr(1, 0x8001), cr(2, 0x8005), alarms].concat()
+}
+
+/// Teaches an AR whose UUID is made of this octet: inputs $8001, outputs $8005, alarms between the end of this
+/// number in the controller and end 5 in the device.
+pub(in super::super) fn connect(connections: &mut Connections, ar: u8) {
+    connections.request(blocks(&request(ar)));
+    connections.answer(blocks(&answer(ar)));
 }
 
 fn blocks(octets: &[u8]) -> Blocks<'_> {
@@ -88,10 +101,38 @@ fn a_connect_and_its_answer_tell_the_places_of_submodules() {
 }
 
 #[test]
+fn the_last_connect_says_whose_streams_and_alarms_they_are() {
+    let uuid = |octet| Some(Uuid::from_octets([octet; 16]));
+    let mut connections = Connections::default();
+    connect(&mut connections, 7);
+    connect(&mut connections, 8);
+    for (from, to, frame_id) in [(DEVICE, CONTROLLER, 0x8001), (CONTROLLER, DEVICE, 0x8005)] {
+        let layout = connections.layout(from, Some(to), FrameId(frame_id));
+        assert_eq!(layout.map(|layout| layout.ar), uuid(8));
+    }
+    // Two ARs between the same stations have alarms of their own, in both directions.
+    let alarms = |one, other| connections.ar_of_alarms([one, other]);
+    for ar in [7, 8] {
+        let (controller, device) = ((CONTROLLER, ar), (DEVICE, 5));
+        assert_eq!(alarms(controller, device), uuid(ar as u8));
+        assert_eq!(alarms(device, controller), uuid(ar as u8));
+    }
+    assert_eq!(alarms((CONTROLLER, 5), (DEVICE, 7)), None);
+    assert_eq!(alarms((CONTROLLER, 9), (DEVICE, 5)), None);
+    // One without a CR of alarms has none.
+    let without = |octets: Vec<u8>, block: &[u8]| {
+        let place = octets.windows(block.len()).position(|found| found == block).unwrap();
+        [&octets[..place], &octets[place + block.len()..]].concat()
+    };
+    connections.request(blocks(&without(request(9), &alarm_request(9))));
+    connections.answer(blocks(&answer(9)));
+    assert_eq!(connections.alarms.len(), 2);
+}
+
+#[test]
 fn data_is_cut_and_what_is_missing_is_null() {
     let mut connections = Connections::default();
-    connections.request(blocks(&request(7)));
-    connections.answer(blocks(&answer(7)));
+    connect(&mut connections, 7);
     let layout = connections.layout(DEVICE, Some(CONTROLLER), FrameId(0x8001)).unwrap();
     let data = [0x80, 0x20, 0xAA, 0xBB, 0x80, 0, 0];
     let submodules = Submodules::new(layout, &data);
@@ -131,7 +172,7 @@ fn a_refusal_or_another_answer_teaches_nothing() {
     connections.request(blocks(&request(7)));
     connections.answer(blocks(&answer(8)));
     connections.answer(blocks(&[]));
-    assert!(connections.layouts.is_empty());
+    assert!(connections.layouts.is_empty() && connections.alarms.is_empty());
     connections.answer(blocks(&answer(7)));
     assert_eq!((connections.layouts.len(), connections.asked.len()), (2, 0));
 }
@@ -148,7 +189,7 @@ fn requests_and_streams_without_end_need_no_more_room() {
     connections.request(blocks(&[ar_request(1), many, expected().repeat(2000)].concat()));
     let last = connections.asked.back().unwrap();
     assert_eq!(last.streams.len(), OF_CONNECTION);
-    assert!(last.streams.iter().all(|stream| stream.layout.0.len() <= PARTS));
+    assert!(last.streams.iter().all(|stream| stream.layout.parts.len() <= PARTS));
     for frame_id in 0..2 * STREAMS as u16 {
         let input = cr_request(1, 0x8000 + frame_id, &[[1, 1, 2]], &[]);
         connections.request(blocks(&[ar_request(3), input, expected()].concat()));
@@ -156,4 +197,9 @@ fn requests_and_streams_without_end_need_no_more_room() {
         connections.answer(blocks(&block(0x8101, &[&front])));
     }
     assert_eq!(connections.layouts.len(), STREAMS);
+    for reference in 0..2 * ALARMS as u16 {
+        connections.request(blocks(&[ar_request(3), alarm_request(reference)].concat()));
+        connections.answer(blocks(&answer(3)));
+    }
+    assert_eq!(connections.alarms.len(), ALARMS);
 }
