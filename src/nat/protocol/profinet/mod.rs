@@ -23,6 +23,7 @@ pub use records::{NoSuchRecord, Record, Records};
 
 /// The most octets of a datagram that fits an Ethernet frame (P-8).
 const MAX_DATAGRAM: usize = 1472;
+
 /// A well-formed request, or what else a client sends.
 #[derive(Clone, Copy, Debug)]
 pub(in crate::nat) struct Request<'a> {
