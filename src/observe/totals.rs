@@ -7,6 +7,8 @@
 use std::sync::Arc;
 use std::time::Duration;
 
+use strum::VariantArray;
+
 use crate::nat::{
     CloseReason, Counter, Counters, Direction, DirectionCounters, DropReason, FINE_BOUNDS,
     FINE_BUCKETS, MappingId, NetId, NodeCounters, RESPONSE_BUCKETS, SourceSketch, Table,
@@ -35,11 +37,11 @@ impl DirectionTotals {
         self.dropped.iter().sum()
     }
 
-    fn add(&mut self, counters: &DirectionCounters, reasons: impl Iterator<Item = DropReason>) {
+    fn add(&mut self, counters: &DirectionCounters) {
         self.received += counters.received.get();
         self.forwarded += counters.forwarded.get();
         self.forwarded_bytes += counters.forwarded_bytes.get();
-        for reason in reasons {
+        for &reason in DropReason::VARIANTS {
             self.dropped[reason as usize] += counters.dropped(reason).get();
         }
     }
@@ -221,7 +223,7 @@ impl NodeTotals {
         let mut totals = Self::default();
         for node in nodes {
             for (direction, sum) in Direction::ALL.into_iter().zip(&mut totals.directions) {
-                sum.add(node.direction(direction), direction.drop_reasons());
+                sum.add(node.direction(direction));
             }
             let times = &mut totals.response_times;
             for (total, (answers, nanos)) in times.0.iter_mut().zip(node.response_times.buckets()) {

@@ -12,15 +12,13 @@ use libc::{
 };
 
 use crate::profinet::endpoint_mapper::{HANDLE_FREE, LOOKUP};
-use crate::profinet::rpc::{Header, Interface, ReadImplicit};
+use crate::profinet::rpc::{Header, Interface, MAX_DATAGRAM, ReadImplicit};
 
 use super::assembler::{Program, To};
 use super::request::refuse_many;
 
 /// Offset of the datagram. What the program sees begins with the UDP header.
 const DATAGRAM: u32 = 8;
-/// The most octets of a datagram that fits an Ethernet frame.
-const MAX_DATAGRAM: u32 = 1472;
 
 /// The program for a socket that listens at this address.
 pub(super) fn program(listen: IpAddr) -> Program {
@@ -29,7 +27,7 @@ pub(super) fn program(listen: IpAddr) -> Program {
     program.step(BPF_LD | BPF_W | BPF_LEN, 0);
     program.step(BPF_ALU | BPF_SUB | BPF_K, DATAGRAM);
     program.compare(BPF_JGE, Header::LEN as u32, To::Next, To::Refuse);
-    program.compare(BPF_JGT, MAX_DATAGRAM, To::Refuse, To::Next);
+    program.compare(BPF_JGT, MAX_DATAGRAM as u32, To::Refuse, To::Next);
     // The version, then a packet type that clients send: 0, 1 and 7 to 9.
     program.step(BPF_LD | BPF_B | BPF_ABS, DATAGRAM);
     program.compare(BPF_JEQ, 4, To::Next, To::Refuse);

@@ -25,6 +25,8 @@ use super::{BufferTooSmall, Malformed, Octets};
 pub const PORT: u16 = 34964;
 /// The UDP port of cyclic data over UDP (RT_CLASS_UDP), and of some stacks' RPC.
 pub const RT_UDP_PORT: u16 = 34962;
+/// The most octets of a datagram that fits an Ethernet frame without fragments of IP (P-8).
+pub const MAX_DATAGRAM: usize = 1472;
 
 /// A datagram of DCE/RPC: a view of checked octets.
 #[derive(Clone, Copy, Debug)]
@@ -45,6 +47,11 @@ impl<'a> Rpc<'a> {
         if !rest.is_empty() {
             return Err(rest.wrong("octets behind the body"));
         }
+        Self::of(header, body)
+    }
+
+    /// Checks a header that was read, and the whole body behind it.
+    pub fn of(header: Header, body: Octets<'a>) -> Result<Self, Malformed> {
         header.check_fragment()?;
         Ok(Self { header, octets: body.rest(), body: Body::read(header.packet_type, body)? })
     }

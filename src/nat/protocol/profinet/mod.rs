@@ -11,7 +11,7 @@ mod records;
 mod tests;
 
 use crate::profinet::endpoint_mapper::{self, Message};
-use crate::profinet::rpc::{Body, Header, Interface, PacketType, ReadImplicit, Rpc};
+use crate::profinet::rpc::{Body, Header, Interface, MAX_DATAGRAM, PacketType, ReadImplicit, Rpc};
 use crate::profinet::{ByteOrder, ObjectUuid, Octets, ndr};
 
 use crate::nat::reason::DropReason;
@@ -20,9 +20,6 @@ use crate::nat::time::Nanos;
 use exchanges::Call;
 pub(in crate::nat) use exchanges::Exchanges;
 pub use records::{NoSuchRecord, Record, Records};
-
-/// The most octets of a datagram that fits an Ethernet frame (P-8).
-const MAX_DATAGRAM: usize = 1472;
 
 /// A well-formed request, or what else a client sends.
 #[derive(Clone, Copy, Debug)]
@@ -186,7 +183,7 @@ fn parse(octets: &[u8]) -> Result<Rpc<'_>, DropReason> {
     if header.auth_protocol != 0 {
         return Err(DropReason::BadHeader); // PROFINET has no such proofs
     }
-    Rpc::parse(octets).map_err(|_| DropReason::BadNdr)
+    Rpc::of(header, rest).map_err(|_| DropReason::BadNdr)
 }
 
 /// The operations that may pass.
