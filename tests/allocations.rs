@@ -348,7 +348,7 @@ fn a_flow_that_comes_back_costs_no_allocation() {
 #[test]
 fn what_a_client_receives_costs_no_allocation() {
     let [router, elsewhere]: [SocketAddr; 2] =
-        ["203.0.113.5:40004", "203.0.113.5:9"].map(|address| address.parse().unwrap());
+        ["203.0.113.5:20004", "203.0.113.5:9"].map(|address| address.parse().unwrap());
     let mut client = Client::new(Arep::new(Source::FIGURE_10));
     let endpoint = client.reserve(Attributes::new(DestinationRoute {
         way: Way { address: router, password: Some(Password::new(*PASSWORD)) },

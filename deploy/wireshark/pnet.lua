@@ -49,7 +49,7 @@ local malformed =
 pnet.experts = { malformed }
 
 pnet.prefs.udp_ranges = Pref.range("UDP ranges", "",
-    "Public ports of UDP Range nets, like 40001-40125, beside 34378 (Normal) and 34379 (Secure)",
+    "Public ports of UDP Range nets, like 20001-20125, beside 34378 (Normal) and 34379 (Secure)",
     65535)
 pnet.prefs.header = Pref.string("Header", "02000000", "What every datagram begins with, in hex")
 pnet.prefs.show_password = Pref.bool("Show passwords", false,

@@ -76,7 +76,7 @@ def setup():
     yield text(105, 136, "198.51.100.20", "mono dim", "middle")
     yield box(24, 152, 162, 120, "inner")
     yield text(105, 172, "its IPNetTable row", "small dim", "middle")
-    for line, (name, value) in enumerate((("IPAddr", "203.0.113.5"), ("UDPPort", "40000"), ("UsePW", "1"),
+    for line, (name, value) in enumerate((("IPAddr", "203.0.113.5"), ("UDPPort", "20000"), ("UsePW", "1"),
                                           ("Nettype", "UDPRange"))):
         yield text(34, 194 + 21 * line, name, "small dim")
         yield text(176, 194 + 21 * line, value, "mono", "end")
@@ -93,7 +93,7 @@ def setup():
     for line, node in enumerate((1, 3, 33)):
         y = 134 + 40 * line
         yield box(394, y, 252, 32, "mark" if node == 3 else "inner")
-        yield text(404, y + 21, f"{40000 + node}", "mono bold" if node == 3 else "mono")
+        yield text(404, y + 21, f"{20000 + node}", "mono bold" if node == 3 else "mono")
         yield text(460, y + 21, "→", "dim", "middle")
         yield text(636, y + 21, f"172.17.17.{node} : 34379", "mono bold" if node == 3 else "mono", "end")
     yield box(384, 276, 272, 54, "inner")
@@ -112,7 +112,7 @@ def setup():
     yield '<path class="way" d="M 200 190 H 382"/>' + tip(392, 190)
     yield '<path class="way" d="M 646 190 H 758"/>' + tip(768, 190)
     yield text(285, 142, "Internet", "dim", "middle")
-    yield text(285, 162, "to 203.0.113.5 : 40003", "small hot", "middle")
+    yield text(285, 162, "to 203.0.113.5 : 20003", "small hot", "middle")
     yield text(285, 178, "with the password", "small hot", "middle")
     yield text(285, 214, "the answer takes", "small dim", "middle")
     yield text(285, 230, "the same way back", "small dim", "middle")

@@ -30,7 +30,7 @@ workers = 1
 listen = "{ADMIN}"
 [[udp_range_net]]
 name = "section-1"
-start_port = 40000
+start_port = 20000
 subnet = "{SUBNET}0"
 nodes = ["1-4", 33]
 allow = ["127.0.0.0/8"]
@@ -60,7 +60,7 @@ def main(program):
             return start("node", "--listen", f"{SUBNET}{first}", "--password-file", "section-1", "--delay", delay)
 
         def ask(nodes, password, interval):
-            start("request", "--to", LISTEN, "--start-port", "40000", "--node", nodes, "--password-file", password,
+            start("request", "--to", LISTEN, "--start-port", "20000", "--node", nodes, "--password-file", password,
                   "--count", "100000", "--interval", interval, "--timeout", "200ms")
 
         nodes = [node(1, "3ms"), node(2, "8ms"), node(3, "5ms"), node(4, "21ms")]

@@ -329,7 +329,7 @@ fn nets_show_what_was_counted() {
     assert_eq!(
         section,
         json!({
-            "name": "section-1", "kind": "udp_range_net", "start_port": 40000,
+            "name": "section-1", "kind": "udp_range_net", "start_port": 20000,
             "subnet": "172.17.17.0/24", "allow": ["198.51.100.0/24"],
             "credentials": [
                 { "name": "service", "has_device_password": false },
@@ -369,7 +369,7 @@ fn nets_show_what_was_counted() {
         nodes,
         json!([
             {
-                "node": 1, "local_address": null, "public_port": 40001, "server": "172.17.17.1:34379",
+                "node": 1, "local_address": null, "public_port": 20001, "server": "172.17.17.1:34379",
                 "request": {
                     "received_datagrams": 10, "forwarded_datagrams": 8, "forwarded_bytes": 160,
                     "dropped_datagrams": { "throttled": 2 },
@@ -384,7 +384,7 @@ fn nets_show_what_was_counted() {
                 ],
             },
             {
-                "node": 33, "local_address": null, "public_port": 40033, "server": "172.17.17.33:34379",
+                "node": 33, "local_address": null, "public_port": 20033, "server": "172.17.17.33:34379",
                 "request": nothing, "response": nothing, "state": "never_asked",
                 "last_request_age_seconds": null, "last_response_age_seconds": null,
                 "response_time_mean_seconds": null, "response_time_median_seconds": null,
@@ -474,7 +474,7 @@ fn flows_and_configuration_have_their_shape() {
     assert_eq!(server.get("/api/v1/flows?limit=5").json(), json!({ "flows": [] }));
     let config = server.get("/api/v1/config").json();
     assert_eq!(config["header"], "02000000");
-    assert_eq!(config["nets"][0]["nodes"][1]["public_port"], 40033);
+    assert_eq!(config["nets"][0]["nodes"][1]["public_port"], 20033);
     assert_eq!(config["nets"][1]["allow_without_password"], true);
     assert_eq!(config["wrong_password_address_burst"], 5120);
     assert_eq!(config["wrong_password_interval_seconds"], 60.0);

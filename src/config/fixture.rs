@@ -21,15 +21,15 @@ pub(crate) fn config() -> Config {
     let nets = vec![
         Net {
             credentials: credentials(),
-            ..net("section-1", NetKind::UdpRange { start_port: 40000 })
+            ..net("section-1", NetKind::UdpRange { start_port: 20000 })
         },
         Net { allow_without_password: true, ..net("press", NetKind::Server) },
     ];
     // The net of the first and last node is one: mappings need not be sorted by net.
     let mappings = vec![
-        mapping(SECTION, 1, 40001, [172, 17, 17, 1]),
-        mapping(NetId(1), 7, 40200, [172, 17, 18, 7]),
-        mapping(SECTION, 33, 40033, [172, 17, 17, 33]),
+        mapping(SECTION, 1, 20001, [172, 17, 17, 1]),
+        mapping(NetId(1), 7, 20200, [172, 17, 18, 7]),
+        mapping(SECTION, 33, 20033, [172, 17, 17, 33]),
     ];
     Config {
         listen: vec![Ipv4Addr::UNSPECIFIED.into()],

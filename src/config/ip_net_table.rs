@@ -134,7 +134,7 @@ fn draft(mut section: Section<'_>) -> Option<Draft<'_>> {
         if is_unused { entry } else { entry.required() }
     };
     let address_entry = field("address", "\"203.0.113.5\"");
-    let port_entry = field("port", "40000");
+    let port_entry = field("port", "20000");
     let router_entry = field("router", "1");
     let use_password_entry = section.key("use_password", "true");
     let password_file = section.key("password_file", "\"secrets/section-1\"");

@@ -111,7 +111,7 @@ impl<'a> Allowed<'a> {
 pub(super) fn udp_range_net(mut section: Section<'_>) -> Draft<'_> {
     let place = section.place.clone();
     let name = section.key("name", "\"section-1\"").required();
-    let start_port_entry = section.key("start_port", "40000").required();
+    let start_port_entry = section.key("start_port", "20000").required();
     let start_port = start_port(&start_port_entry);
     let subnet_entry = section.key("subnet", "\"172.17.17.0\"").required();
     let subnet = subnet(&subnet_entry);
@@ -145,7 +145,7 @@ pub(super) fn udp_range_net(mut section: Section<'_>) -> Draft<'_> {
 pub(super) fn server(mut section: Section<'_>) -> Draft<'_> {
     let place = section.place.clone();
     let name = section.key("name", "\"press\"").required();
-    let port_entry = section.key("public_port", "40200").required();
+    let port_entry = section.key("public_port", "20200").required();
     let port = port_entry.integer(1..=u16::MAX);
     let address_entry = section.key("address", "\"172.17.18.7:34379\"").required();
     let address = endpoint(&address_entry);

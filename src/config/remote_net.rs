@@ -24,7 +24,7 @@ pub(super) fn remote_net(mut section: Section<'_>) -> Draft<'_> {
     let name = section.key("name", "\"plant-2\"").required();
     let router_entry = section.key("router", "\"203.0.113.5\"").required();
     let router = router(&router_entry);
-    let start_port_entry = section.key("start_port", "40000").required();
+    let start_port_entry = section.key("start_port", "20000").required();
     let start_port = start_port(&start_port_entry);
     let nodes = nodes(&section.key("nodes", "[\"1-4\", 33]").required());
     let subnet_entry = section.key("local_subnet", "\"127.17.2.0\"").required();

@@ -35,7 +35,7 @@
 //! #[tokio::main(flavor = "current_thread")]
 //! async fn main() -> Result<(), Box<dyn std::error::Error>> {
 //!     let password = Some(Password::new(*b"PNETPASS"));
-//!     let mut client = Client::bind(Target::new("203.0.113.5".parse()?, 40000, password)).await?;
+//!     let mut client = Client::bind(Target::new("203.0.113.5".parse()?, 20000, password)).await?;
 //!     let request =
 //!         Request { node_address: 4, beyond: &[], control_status: 0, data_octets: &[1, 2, 3] };
 //!     let (response, round_trip) = client.exchange(&request, Duration::from_secs(1)).await?;

@@ -86,7 +86,7 @@ table inet filter {
 table ip plant_nat {
     chain prerouting {
         type nat hook prerouting priority dstnat;
-        udp dport 40101 dnat to 172.17.17.1:34379
+        udp dport 20101 dnat to 172.17.17.1:34379
     }
 }
 END

@@ -156,7 +156,7 @@ fn router() -> Router {
     let free = UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
     let configuration = configuration()
         .replace("0.0.0.0", "127.0.0.1")
-        .replace("start_port = 40000", &format!("start_port = {}", free - 1))
+        .replace("start_port = 20000", &format!("start_port = {}", free - 1))
         .replace("\"1-4\"", "1");
     Router::start(read(&configuration).0).unwrap()
 }

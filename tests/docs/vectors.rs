@@ -169,7 +169,7 @@ fn exchanges() -> String {
 
 /// A write of 70 octets into a memory, in pieces, and the answers of a server.
 fn segments() -> String {
-    let way = Way { address: "203.0.113.5:40004".parse().unwrap(), password: None };
+    let way = Way { address: "203.0.113.5:20004".parse().unwrap(), password: None };
     let mut attributes = Attributes::new(DestinationRoute {
         way,
         ip_net_id: IpNetId::new(11).unwrap(),
@@ -253,7 +253,7 @@ fn translations() -> String {
     let udp_range = Fields {
         nettype: Nettype::UdpRange,
         ip_address: [203, 0, 113, 5].into(),
-        udp_port: 40000,
+        udp_port: 20000,
         use_password: true,
         router: 1,
         ..Fields::UNUSED

@@ -30,7 +30,7 @@ const NET: &str = r#"
 [[remote_net]]
 name = "plant-2"
 router = "198.51.100.1"
-start_port = 40000
+start_port = 20000
 nodes = ["1-4"]
 local_subnet = "127.17.2.0"
 allow = ["127.0.0.0/8"]
@@ -209,12 +209,12 @@ fn request_and_node_talk_through_it() {
         let (_, nets) = at_the_adapter(&network, || adapter.get("/api/v1/nets").unwrap());
         let nets: serde_json::Value = serde_json::from_str(&nets).unwrap();
         let net = &nets["nets"][0];
-        assert_eq!((&net["kind"], &net["start_port"]), (&json!("remote_net"), &json!(40000)));
+        assert_eq!((&net["kind"], &net["start_port"]), (&json!("remote_net"), &json!(20000)));
         let node = &net["nodes"][3];
         assert_eq!(node["local_address"], "127.17.2.4");
         assert_eq!(
             (&node["server"], &node["state"]),
-            (&json!("198.51.100.1:40004"), &json!("answering"))
+            (&json!("198.51.100.1:20004"), &json!("answering"))
         );
         finish(&network, router, adapter);
         drop(nodes);

@@ -33,7 +33,7 @@ fn a_sound_configuration_shows_its_tables() {
 #[test]
 fn a_remote_net_is_shown_with_its_addresses_here_and_there() {
     let folder = folder(
-        "[[remote_net]]\nname = \"plant-2\"\nrouter = \"127.0.113.5\"\nstart_port = 40000\n\
+        "[[remote_net]]\nname = \"plant-2\"\nrouter = \"127.0.113.5\"\nstart_port = 20000\n\
          nodes = [\"1-4\", 33]\nlocal_subnet = \"127.17.2.0\"\nallow = [\"127.0.0.0/8\"]\n\
          [[remote_net.password]]\nname = \"service\"\nfile = \"secrets/section-1\"\n",
     );
@@ -62,14 +62,14 @@ fn full_shows_a_line_for_each_node() {
     for node in [1, 2, 3, 4, 33] {
         let server = format!("127.17.17.{node}:34379");
         let line = stdout.lines().find(|line| line.contains(&server)).unwrap();
-        assert!(line.contains(&format!(" {} ", 40000 + node)), "{line}");
+        assert!(line.contains(&format!(" {} ", 20000 + node)), "{line}");
     }
 }
 
 #[test]
 fn warnings_do_not_refuse_and_rows_that_cannot_be_are_left_out() {
     let configuration = annotated()
-        .replace("public_port = 40200", "public_port = 7")
+        .replace("public_port = 20200", "public_port = 7")
         .replace("[\"0.0.0.0\"]", "[\"192.0.2.1\", \"2001:db8::1\"]")
         .replace("= \"5m\"", "= \"1m\"");
     let folder = folder(&configuration);
@@ -81,7 +81,7 @@ fn warnings_do_not_refuse_and_rows_that_cannot_be_are_left_out() {
 #[test]
 fn every_fault_is_shown_and_the_exit_code_is_2() {
     let configuration = annotated()
-        .replace("start_port = 40000", "start_port = 40199")
+        .replace("start_port = 20000", "start_port = 20199")
         .replace("file = \"secrets/section-1\"", "file = \"secrets/absent\"")
         .replace("node = 7", "node = 126\nnodes = 5")
         .replace("drain = \"5s\"", "drain = 5");

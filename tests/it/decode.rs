@@ -57,7 +57,7 @@ fn a_capture_is_searched_on_the_ports_of_p_net_and_those_that_are_named() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("capture.pcap");
     let (question, answer) = (request(4), response(4));
-    let ports = [(34379, &question[..]), (40004, &question), (40125, &answer), (53, b"query")];
+    let ports = [(34379, &question[..]), (20004, &question), (20125, &answer), (53, b"query")];
     fs::write(&file, pcap(ports)).unwrap();
 
     let numbers = |arguments: &[&str]| {
@@ -67,8 +67,8 @@ fn a_capture_is_searched_on_the_ports_of_p_net_and_those_that_are_named() {
         lines.filter_map(|line| line["packet"].as_u64()).collect::<Vec<_>>()
     };
     assert_eq!(numbers(&[]), [1]);
-    assert_eq!(numbers(&["--ports", "40001-40100"]), [1, 2]);
-    assert_eq!(numbers(&["--ports", "53,40001-40125"]), [1, 2, 3, 4]);
+    assert_eq!(numbers(&["--ports", "20001-20100"]), [1, 2]);
+    assert_eq!(numbers(&["--ports", "53,20001-20125"]), [1, 2, 3, 4]);
     // That of the sender counts as well.
     assert_eq!(numbers(&["--ports", "50000"]), [1, 2, 3, 4]);
 
@@ -181,10 +181,10 @@ fn the_page_shows_a_capture_as_it_is_printed() {
     let page = include_str!("../../docs/troubleshooting.md");
     let (_, section) = page.split_once("### Captures").unwrap();
     let (_, printed) = section.split_once("```text\n").unwrap();
-    let [answered, silent] = [4, 5].map(|node| udp(40000 + u16::from(node), &request(node)));
+    let [answered, silent] = [4, 5].map(|node| udp(20000 + u16::from(node), &request(node)));
     let answer = back(&answered, &response(4));
     let capture = at([(0, &answered[..]), (1_234, &answer), (500_000, &silent)]);
-    let (text, _) = shown(&capture, &["--ports", "40001-40125"]);
+    let (text, _) = shown(&capture, &["--ports", "20001-20125"]);
     assert_eq!(text, printed.split("```").next().unwrap());
 }
 
@@ -217,7 +217,7 @@ fn what_cannot_be_read_to_its_end_is_said_with_exit_code_1() {
 fn nothing_found_is_not_left_without_a_word() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("capture.pcap");
-    fs::write(&file, pcap([(40004, &request(4)[..])])).unwrap();
+    fs::write(&file, pcap([(20004, &request(4)[..])])).unwrap();
     let (code, stdout, stderr) = ended(&file, &[]);
     assert_eq!((code, &stdout[..]), (Some(0), ""));
     assert!(stderr.contains("--ports"), "{stderr}");
@@ -265,7 +265,7 @@ fn shown(capture: &[u8], arguments: &[&str]) -> (String, Vec<Value>) {
 
 #[test]
 fn answers_show_their_request_and_unanswered_requests_are_marked() {
-    let asked: Vec<_> = (4..=7).map(|node| udp(40000 + u16::from(node), &request(node))).collect();
+    let asked: Vec<_> = (4..=7).map(|node| udp(20000 + u16::from(node), &request(node))).collect();
     let mut other_port = back(&asked[2], &response(6));
     other_port[20..22].copy_from_slice(&55_555_u16.to_be_bytes());
     let capture = at([
@@ -277,27 +277,27 @@ fn answers_show_their_request_and_unanswered_requests_are_marked() {
         (4_000, &back(&asked[3], &response(7))),
         (10_001_500, &asked[3]),
     ]);
-    let (text, json) = shown(&capture, &["--ports", "40001-40125"]);
+    let (text, json) = shown(&capture, &["--ports", "20001-20125"]);
     let found: Vec<_> =
         text.lines().map(|line| line.split_once("Z, ").map_or(line, |it| it.1)).collect();
     let client = "198.51.100.20:50000";
-    assert!(found[2].starts_with("203.0.113.5:40004 > 198.51.100.20:50000: unconfirmed; "));
+    assert!(found[2].starts_with("203.0.113.5:20004 > 198.51.100.20:50000: unconfirmed; "));
     assert!(found[2].ends_with(", password present; answer to packet 1, +1.234 ms"), "{text}");
     assert!(found[4].starts_with("203.0.113.5:55555 > "), "{text}");
-    let other = "; answer to packet 4 from another port than 40006, +1.500 ms";
+    let other = "; answer to packet 4 from another port than 20006, +1.500 ms";
     assert!(found[4].ends_with(other), "{text}");
     assert!(found[5].ends_with(", password present"), "{text}");
     // Before the packet that shows how late it is.
     assert_eq!(
         found[6],
         format!(
-            "{client} > 203.0.113.5:40005: unanswered request to net 11 node 5, no answer within 10 s"
+            "{client} > 203.0.113.5:20005: unanswered request to net 11 node 5, no answer within 10 s"
         )
     );
     assert!(text.lines().nth(6).unwrap().starts_with("packet 2, 2026-09-21T14:13:20.001000Z, "));
-    assert!(found[7].starts_with("198.51.100.20:50000 > 203.0.113.5:40007: confirmed; "));
+    assert!(found[7].starts_with("198.51.100.20:50000 > 203.0.113.5:20007: confirmed; "));
     let at_the_end = "unanswered request to net 11 node 6, the capture ended";
-    assert_eq!(found[8], format!("{client} > 203.0.113.5:40006: {at_the_end}"));
+    assert_eq!(found[8], format!("{client} > 203.0.113.5:20006: {at_the_end}"));
     assert_eq!(
         found[11..].join("\n"),
         "\
@@ -305,10 +305,10 @@ Datagrams: 7, malformed: 0. Requests: 4, answered: 1, unanswered: 3.
 
 | Server            | Node | Requests | Answers | Unanswered | Median |   99 % | Faults |
 |-------------------|------|----------|---------|------------|--------|--------|--------|
-| 203.0.113.5:40004 |    4 |        1 |       1 |          0 | 1.2 ms | 1.2 ms |      0 |
-| 203.0.113.5:40005 |    5 |        1 |       0 |          1 |      – |      – |      0 |
-| 203.0.113.5:40006 |    6 |        1 |       0 |          1 |      – |      – |      1 |
-| 203.0.113.5:40007 |    7 |        1 |       0 |          1 |      – |      – |      0 |
+| 203.0.113.5:20004 |    4 |        1 |       1 |          0 | 1.2 ms | 1.2 ms |      0 |
+| 203.0.113.5:20005 |    5 |        1 |       0 |          1 |      – |      – |      0 |
+| 203.0.113.5:20006 |    6 |        1 |       0 |          1 |      – |      – |      1 |
+| 203.0.113.5:20007 |    7 |        1 |       0 |          1 |      – |      – |      0 |
 
 Answers from another port than was asked: 1. The relay drops them.
 Answers whose request is not in the capture: 1."
@@ -319,9 +319,9 @@ Answers whose request is not in the capture: 1."
         (&json[2]["answer_to"], &json[2]["response_time_seconds"]),
         (&json!(1), &json!(0.001234))
     );
-    assert_eq!((&json[4]["answer_to"], &json[4]["asked_port"]), (&json!(4), &json!(40006)));
+    assert_eq!((&json[4]["answer_to"], &json[4]["asked_port"]), (&json!(4), &json!(20006)));
     let unanswered = json!({"unanswered": {
-        "packet": 2, "time": "2026-09-21T14:13:20.001000Z", "from": client, "to": "203.0.113.5:40005",
+        "packet": 2, "time": "2026-09-21T14:13:20.001000Z", "from": client, "to": "203.0.113.5:20005",
         "ip_net_id": 11, "node_address": 5, "reason": "time",
     }});
     assert_eq!(json[6], unanswered);
@@ -341,7 +341,7 @@ fn both_legs_of_a_relay_are_paired_and_named_by_its_configuration() {
     fs::write(&secret, PASSWORD).unwrap();
     fs::set_permissions(&secret, Permissions::from_mode(0o600)).unwrap();
     let text = "[public]\nlisten = [\"203.0.113.5\"]\n[protocol]\nheader = \"02000001\"\n\
-        [[udp_range_net]]\nname = \"press\"\nstart_port = 40000\nsubnet = \"172.17.17.0\"\n\
+        [[udp_range_net]]\nname = \"press\"\nstart_port = 20000\nsubnet = \"172.17.17.0\"\n\
         nodes = [\"1-9\"]\nallow = [\"198.51.100.0/24\"]\nserver_port = 4379\n\
         [[udp_range_net.password]]\nname = \"service\"\nfile = \"secret\"\n";
     fs::write(&config, text).unwrap();
@@ -350,7 +350,7 @@ fn both_legs_of_a_relay_are_paired_and_named_by_its_configuration() {
         octets
     };
     let (question, answer) = (header(request(4)), header(response(4)));
-    let public = udp(40004, &question);
+    let public = udp(20004, &question);
     let mut plant = udp(4379, &question);
     plant[12..20].copy_from_slice(&[172, 17, 17, 1, 172, 17, 17, 4]);
     let capture = at([
@@ -368,7 +368,7 @@ fn both_legs_of_a_relay_are_paired_and_named_by_its_configuration() {
         rows,
         [
             "| 172.17.17.4:4379  | press |    4 |        1 |       1 |          0 | 1.0 ms | 1.0 ms |      0 |",
-            "| 203.0.113.5:40004 | press |    4 |        1 |       1 |          0 | 1.3 ms | 1.3 ms |      0 |",
+            "| 203.0.113.5:20004 | press |    4 |        1 |       1 |          0 | 1.3 ms | 1.3 ms |      0 |",
         ],
         "{text}"
     );

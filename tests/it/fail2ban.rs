@@ -39,7 +39,7 @@ listen = ["198.51.100.1", "2001:db8:1::1"]
 
 [[udp_range_net]]
 name = "section-1"
-start_port = 40000
+start_port = 20000
 subnet = "172.17.17.0"
 nodes = [4]
 allow = ["0.0.0.0/0", "::/0"]
@@ -68,7 +68,7 @@ fn log_of_guessers(network: &Network, format: &str) -> (String, [&'static str; 2
     let mut relay = Process::start(pnet_nat(&arguments));
     eventually("it relays", || relay.stderr().contains("relaying").then_some(()));
 
-    let public = |address: &str| SocketAddr::new(address.parse().unwrap(), 40004);
+    let public = |address: &str| SocketAddr::new(address.parse().unwrap(), 20004);
     let client = network.client("198.51.100.8");
     exchange(&client, public("198.51.100.1"), &network.node(4), 4);
     let wrong = datagram(&FIGURE_10, &[], WRONG);

@@ -161,7 +161,7 @@ impl<'a> Edge<'a> {
 /// A client that asks again and again; tells how many of its requests were lost until one was
 /// answered as often as it wants.
 fn poll(client: &Peer, answers: u32) -> u32 {
-    let (public, mut lost) = (format!("{VIRTUAL}:40004").parse().unwrap(), 0);
+    let (public, mut lost) = (format!("{VIRTUAL}:20004").parse().unwrap(), 0);
     for _ in 0..answers {
         loop {
             client.send(public, &request(4));

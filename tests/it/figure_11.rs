@@ -25,7 +25,7 @@ listen = ["198.51.100.1"]
 listen = "127.0.0.1:9378"
 [[udp_range_net]]
 name = "section-1"
-start_port = 40000
+start_port = 20000
 subnet = "172.17.17.0"
 nodes = ["1-12"]
 allow = ["198.51.100.0/24"]
@@ -34,7 +34,7 @@ name = "service"
 file = "secrets/section-1"
 [[udp_range_net]]
 name = "section-2"
-start_port = 40200
+start_port = 20200
 subnet = "172.17.18.0"
 servers_beyond_gateway = true
 nodes = ["1-2"]
@@ -74,7 +74,7 @@ router = 0
 id = 2
 type = "UDPRange"
 address = "198.51.100.1"
-port = 40000
+port = 20000
 router = 1
 use_password = true
 password_file = "secrets/section-1"
@@ -82,7 +82,7 @@ password_file = "secrets/section-1"
 id = 3
 type = "UDPRange"
 address = "198.51.100.1"
-port = 40200
+port = 20200
 router = 1
 use_password = true
 password_file = "secrets/section-1"
@@ -294,7 +294,7 @@ fn through_the_nat_router(
     node: u8,
 ) {
     let way = client.way(net, node);
-    let start_port = if net == 2 { 40000 } else { 40200 };
+    let start_port = if net == 2 { 20000 } else { 20200 };
     let public = SocketAddr::from((PUBLIC, start_port + u16::from(node)));
     assert_eq!((way.to, way.next_hop, way.password), (public, Some(1), true));
     let (outside, inside) = (client.namespace.capture(), section.capture());

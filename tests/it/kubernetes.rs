@@ -173,7 +173,7 @@ fn the_container_relays_as_its_manifest_has_it() {
     for (from, to) in [
         (r#"listen = ["0.0.0.0"]"#, format!(r#"listen = ["{public}"]"#)),
         ("0.0.0.0:9378", site.admin().to_string()),
-        ("start_port = 40000", format!("start_port = {}", site.start_port())),
+        ("start_port = 20000", format!("start_port = {}", site.start_port())),
         ("172.17.17.0", subnet.to_string()),
         ("198.51.100.0/24", format!("{subnet}/24")),
     ] {

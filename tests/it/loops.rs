@@ -7,10 +7,10 @@ use std::net::SocketAddr;
 
 use crate::harness::{Network, Relay, Settings, exchange, has_nft, request};
 
-/// A single server behind public port 40200.
+/// A single server behind public port 20200.
 fn press(address: &str, more: &str) -> String {
     format!(
-        "[[server]]\nname = \"press\"\npublic_port = 40200\naddress = \"{address}\"\nnode = 4\n\
+        "[[server]]\nname = \"press\"\npublic_port = 20200\naddress = \"{address}\"\nnode = 4\n\
          allow = [\"0.0.0.0/0\", \"::/0\"]\n[[server.password]]\nname = \"service\"\n\
          file = \"secrets/section-1\"\n{more}"
     )
@@ -51,9 +51,9 @@ fn a_server_whose_address_the_router_gets() {
     let Some(network) = Network::build() else { return };
     network.at_the_edge(|| {
         for (address, server, public) in [
-            ("203.0.113.99/32", "203.0.113.99:40200", "198.51.100.1:40200"),
-            ("192.0.2.9/32", "192.0.2.9:40200", "198.51.100.1:40200"),
-            ("2001:db8:1::99/128", "[2001:db8:1::99]:40200", "[2001:db8:1::1]:40200"),
+            ("203.0.113.99/32", "203.0.113.99:20200", "198.51.100.1:20200"),
+            ("192.0.2.9/32", "192.0.2.9:20200", "198.51.100.1:20200"),
+            ("2001:db8:1::99/128", "[2001:db8:1::99]:20200", "[2001:db8:1::1]:20200"),
         ] {
             let relay = start(&network, &press(server, ""));
             network.edge.ip(&format!("address add {address} dev lo"));
@@ -73,11 +73,11 @@ fn a_server_that_address_translation_leads_back_from() {
     }
     network.edge.nft(
         "table ip loops { chain output { type nat hook output priority -100;
-         ip daddr 203.0.113.99 udp dport 34379 dnat to 198.51.100.1:40200; }; }",
+         ip daddr 203.0.113.99 udp dport 34379 dnat to 198.51.100.1:20200; }; }",
     );
     network.at_the_edge(|| {
         let relay = start(&network, &press("203.0.113.99:34379", ""));
-        expect_no_more_than_three(&network, relay, "198.51.100.1:40200");
+        expect_no_more_than_three(&network, relay, "198.51.100.1:20200");
     });
 }
 
@@ -90,13 +90,13 @@ fn two_servers_that_lead_to_each_other() {
     }
     network.edge.nft(
         "table ip loops { chain output { type nat hook output priority -100;
-         ip daddr 203.0.113.99 udp dport 34379 dnat to 198.51.100.1:40201;
-         ip daddr 203.0.113.98 udp dport 34379 dnat to 203.0.113.1:40200; }; }",
+         ip daddr 203.0.113.99 udp dport 34379 dnat to 198.51.100.1:20201;
+         ip daddr 203.0.113.98 udp dport 34379 dnat to 203.0.113.1:20200; }; }",
     );
     network.at_the_edge(|| {
         let other = press("203.0.113.98:34379", "");
-        let other = other.replace("press", "other").replace("40200", "40201");
+        let other = other.replace("press", "other").replace("20200", "20201");
         let relay = start(&network, &press("203.0.113.99:34379", &other));
-        expect_no_more_than_three(&network, relay, "198.51.100.1:40200");
+        expect_no_more_than_three(&network, relay, "198.51.100.1:20200");
     });
 }

@@ -16,12 +16,12 @@ const OTHERS: &str = "table ip others { chain in { type nat hook prerouting prio
 
 /// The map of one node.
 const RULES: &str = "table ip plant_nat {
-    chain in { type nat hook prerouting priority dstnat; udp dport 40004 dnat to 172.17.17.4:34379; }
+    chain in { type nat hook prerouting priority dstnat; udp dport 20004 dnat to 172.17.17.4:34379; }
     chain out { type nat hook postrouting priority srcnat; oifname eth1 masquerade; }
 }";
 
 const REMOVE: [&str; 5] = ["nft", "delete", "table", "ip", "plant_nat"];
-const FORGET: [&str; 6] = ["conntrack", "-D", "-p", "udp", "--orig-port-dst", "40004"];
+const FORGET: [&str; 6] = ["conntrack", "-D", "-p", "udp", "--orig-port-dst", "20004"];
 
 fn network() -> Option<Network> {
     let network = Network::build().filter(|_| has_nft())?;

@@ -145,7 +145,7 @@ fn three_processes_in_three_networks() {
         eventually("the nodes are there", || (nodes.stdout().lines().count() == 5).then_some(()));
         let ask = || {
             let arguments = [
-                &["request", "--to", "198.51.100.1", "--start-port", "40000"][..],
+                &["request", "--to", "198.51.100.1", "--start-port", "20000"][..],
                 &["--node", "1-4,33", "--count", "20", "--interval", "1ms", "--timeout", "20s"],
                 &["--password-file", password],
             ];

@@ -75,7 +75,7 @@ impl Service {
 
     /// Whether a request to this node is answered.
     fn answers(&self, node: &str) -> bool {
-        self.answers_at("40000", node)
+        self.answers_at("20000", node)
     }
 
     fn answers_at(&self, start_port: &str, node: &str) -> bool {
@@ -249,7 +249,7 @@ fn passwords_changed(service: &Service) {
     machine.shell(&format!("printf '{SECOND_PASSWORD}' >> /etc/pnet-nat/pnet-nat.toml"));
     machine.run(&["systemctl", "daemon-reload"]);
     machine.run(&["systemctl", "restart", "pnet-nat"]);
-    let answers = |password| service.answers_with(password, "40000", "1");
+    let answers = |password| service.answers_with(password, "20000", "1");
     assert!(answers(old) && service.answers("1"));
 
     write(second, "t3am-2.1");
@@ -309,7 +309,7 @@ fn watched(service: &Service) {
     service.edit("s/^start_port = .*/start_port = 0/");
     assert!(!machine.output(&["systemctl", "restart", "pnet-nat"]).status.success());
     service.expect_state("failed");
-    service.edit("s/^start_port = .*/start_port = 40000/");
+    service.edit("s/^start_port = .*/start_port = 20000/");
     machine.run(&["systemctl", "restart", "pnet-nat"]);
     assert!(service.answers("1-5"));
 }

@@ -294,7 +294,7 @@ fn what_makes_no_sense_is_refused() {
     for (options, why) in [
         (&["--to", &to, "--port", "5", "--node", "1-2"][..], "--port is that of one node"),
         (&["--to", &to, "--node", "1"], "--start-port"),
-        (&["--start-port", "40000", "--node", "1"], "--to"),
+        (&["--start-port", "20000", "--node", "1"], "--to"),
         (&["--table", "client.toml", "--node", "1"], "--net"),
         (
             &["--table", "client.toml", "--net", "1", "--to", &to, "--node", "1"],

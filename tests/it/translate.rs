@@ -21,7 +21,7 @@ router = 0
 id = 2
 type = "UDPRange"
 address = "203.0.113.5"
-port = 40000
+port = 20000
 router = 1
 use_password = true
 password_file = "secrets/section-1"
@@ -70,7 +70,7 @@ fn r16_r17_r19_json_tells_each_method() {
     };
     assert_eq!(
         json("2", "4"),
-        "{\"net\":2,\"node\":4,\"method\":\"d\",\"address\":\"203.0.113.5\",\"port\":40004,\
+        "{\"net\":2,\"node\":4,\"method\":\"d\",\"address\":\"203.0.113.5\",\"port\":20004,\
          \"next_hop\":1,\"password\":true}\n"
     );
     assert_eq!(
@@ -114,7 +114,7 @@ fn what_has_no_way_is_exit_code_2_with_the_reason() {
 #[test]
 fn every_fault_of_a_table_is_shown_and_the_exit_code_is_2() {
     let table = TABLE
-        .replace("port = 40000", "port = 65500")
+        .replace("port = 20000", "port = 65500")
         .replace("router = 9", "router = 4\nspeed = 1")
         .replace("secrets/section-1", "secrets/absent");
     let mut translated = translate(&table, &["--net", "1", "--node", "1"]);
@@ -137,7 +137,7 @@ fn options_come_from_the_environment_too() {
     command.env("PNET_NAT_IP_NET_ID", "2").env("PNET_NAT_NODE", "1,3");
     command.env("PNET_NAT_FORMAT", "json");
     let lines = lines(&mut Process::start(command));
-    assert_eq!(lines.iter().map(|line| line["port"].clone()).collect::<Vec<_>>(), [40001, 40003]);
+    assert_eq!(lines.iter().map(|line| line["port"].clone()).collect::<Vec<_>>(), [20001, 20003]);
 }
 
 #[test]
@@ -174,7 +174,7 @@ fn translate_takes_back_the_rows_that_check_prints() {
         let folder = folder("");
         fs::write(folder.path().join("client.toml"), &table).unwrap();
         // The public ports of the configuration: a section, and a single server at node 7.
-        for (net, node, port) in [("2", "1", 40001), ("2", "33", 40033), ("3", "7", 40200)] {
+        for (net, node, port) in [("2", "1", 20001), ("2", "33", 20033), ("3", "7", 20200)] {
             let options = ["--net", net, "--node", node, "--format", "json"];
             let mut translated = translate_in(folder.path(), &options);
             let [line] = &lines(&mut translated)[..] else { panic!("one line") };
@@ -223,7 +223,7 @@ fn check_prints_no_more_rows_than_a_table_has() {
 #[test]
 fn a15_check_tells_of_public_ports_that_no_row_leads_to() {
     let annotated = ANNOTATED.replace("\"172.17.", "\"127.17.");
-    let high = annotated.replace("public_port = 40200", "public_port = 65418");
+    let high = annotated.replace("public_port = 20200", "public_port = 65418");
     let mut command = pnet_nat(&["check", "--config", "pnet-nat.toml"]);
     let folder = folder(&high);
     command.current_dir(folder.path());
@@ -234,7 +234,7 @@ fn a15_check_tells_of_public_ports_that_no_row_leads_to() {
     assert!(stdout.contains(remark), "{stdout}");
     assert!(stderr.contains("choose a public port up to 65417"), "{stderr}");
     assert_eq!(table_of(&high).matches("[[ip_net]]").count(), 2);
-    let highest = annotated.replace("public_port = 40200", "public_port = 65417");
+    let highest = annotated.replace("public_port = 20200", "public_port = 65417");
     assert_eq!(table_of(&highest).matches("[[ip_net]]").count(), 3);
 }
 

@@ -63,7 +63,7 @@ impl Home {
 }
 
 /// One of the Normal port, one of the Secure port, and those of UDP Range nets.
-const PORTS: [&str; 3] = ["34378", "34379", "40001-40125"];
+const PORTS: [&str; 3] = ["34378", "34379", "20001-20125"];
 
 fn emitted(route: Route<'_>, data: &[u8], flags: u8, password: Option<Password>) -> Vec<u8> {
     let mut octets = [0; MAX_DATAGRAM];
@@ -200,7 +200,7 @@ fn printed(packet: &[Map<String, Value>], name: &str) -> String {
 #[test]
 fn every_field_is_that_of_decode() {
     let (datagrams, rows) = ([sound(), damaged()].concat(), rows());
-    let ports = [34378, 34379, 40001, 40125].into_iter().cycle();
+    let ports = [34378, 34379, 20001, 20125].into_iter().cycle();
     let payloads = datagrams.iter().chain(&rows);
     let mut capture = pcap(ports.zip(payloads.map(|octets| &octets[..])));
     let cut = udp(34379, &request(4));
@@ -268,20 +268,20 @@ fn a_row_of_datagrams_says_so_in_the_list_of_packets() {
 fn header_and_ports_are_preferences() {
     let mut other = request(4);
     other[3] = 1;
-    let capture = pcap([(40003, &other[..]), (40200, &other)]);
+    let capture = pcap([(20003, &other[..]), (20200, &other)]);
     let Some(home) = Home::with(&capture) else { return };
     let summary = |options: &[&str]| {
         let read = home.read(&[options, &["-T", "fields", "-e", "_ws.col.Info"]].concat());
         read.lines().map(str::to_owned).collect::<Vec<_>>()
     };
-    let udp = "50000 → 40200 Len=25";
+    let udp = "50000 → 20200 Len=25";
     let refused = "Malformed: the header is not the expected one";
     assert_eq!(summary(&[]), [refused, udp]);
     assert_eq!(summary(&["-o", "pnet.header:zz"]), [refused, udp]);
     let found = "Confirmed to 11.4.2.33 from 11.3.31, 3 data octets, password present";
     assert_eq!(summary(&["-o", "pnet.header:02000001"]), [found, udp]);
-    let ranges = ["-o", "pnet.header:02000001", "-o", "pnet.udp_ranges:40200"];
-    assert_eq!(summary(&ranges), ["50000 → 40003 Len=25", found]);
+    let ranges = ["-o", "pnet.header:02000001", "-o", "pnet.udp_ranges:20200"];
+    assert_eq!(summary(&ranges), ["50000 → 20003 Len=25", found]);
 }
 
 /// Wireshark's dialogue changes ranges that were in force; tshark has no way to do that.
@@ -298,7 +298,7 @@ fn ranges_that_covered_the_ports_of_p_net_leave_them_behind() {
 
 #[test]
 fn the_commands_of_readme_work_as_written() {
-    let Some(home) = Home::with(&pcap([(40003, &request(3)[..])])) else { return };
+    let Some(home) = Home::with(&pcap([(20003, &request(3)[..])])) else { return };
     fs::remove_dir_all(home.0.path().join(".local")).unwrap();
     let (_, commands) = README.split_once("```sh\n").unwrap();
     let commands = commands.split("```").next().unwrap();

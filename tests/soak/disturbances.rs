@@ -20,8 +20,8 @@ use crate::harness::{
 
 pub(crate) const PUBLIC: Ipv4Addr = Ipv4Addr::new(198, 51, 100, 1);
 /// Start ports, as clients know them.
-pub(crate) const SECTION: u16 = 40_000;
-pub(crate) const PRESS: u16 = 40_200 - 3;
+pub(crate) const SECTION: u16 = 20_000;
+pub(crate) const PRESS: u16 = 20_200 - 3;
 pub(crate) const MIXER: u16 = 40_300 - 33;
 const ADMIN: (Ipv4Addr, u16) = (Ipv4Addr::LOCALHOST, 9378);
 
@@ -70,7 +70,7 @@ file = "secrets/section-1"
 "#
         )
     };
-    let (press, mixer) = (server("press", 40_200, 3, "4s"), server("mixer", 40_300, 33, "5m"));
+    let (press, mixer) = (server("press", 20_200, 3, "4s"), server("mixer", 40_300, 33, "5m"));
     format!(
         r#"
 [public]
@@ -265,7 +265,7 @@ pub(crate) fn flood(over: &AtomicBool) -> u64 {
     let wrong = datagram(&FIGURE_10, &[1, 2, 3], WRONG);
     let good = datagram(&FIGURE_10, &[1, 2, 3], PASSWORD);
     let garbage = [&[0xFF; 40][..], &[2, 0, 0, 0], &[0x41; 300], &good[..24]];
-    let ports = [40_001, 40_002, 40_004, 40_200, 40_300];
+    let ports = [20_001, 20_002, 20_004, 20_200, 40_300];
     let mut sent = 0;
     while !over.load(Relaxed) {
         for public in ports.map(|port| SocketAddr::from((PUBLIC, port))) {

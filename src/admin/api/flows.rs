@@ -141,16 +141,16 @@ mod tests {
             public_address: "203.0.113.1".parse().unwrap(),
             mapping: NODE_33,
             credential: Some(1),
-            upstream_port: 40999,
+            upstream_port: 20999,
             age: Duration::from_millis(61_500),
             idle: Duration::from_millis(250),
         };
         assert_eq!(
             serde_json::to_value(Flow::of(&table, &record)).unwrap(),
             json!({
-                "net": "section-1", "node": 33, "local_address": null, "public_port": 40033,
+                "net": "section-1", "node": 33, "local_address": null, "public_port": 20033,
                 "server": "172.17.17.33:34379", "client": "198.51.100.9:50000",
-                "public_address": "203.0.113.1", "credential": "team-b", "upstream_port": 40999,
+                "public_address": "203.0.113.1", "credential": "team-b", "upstream_port": 20999,
                 "age_seconds": 61.5, "idle_seconds": 0.25,
             })
         );

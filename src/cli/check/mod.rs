@@ -164,7 +164,7 @@ fn nodes(first: &Mapping, last: &Mapping) -> String {
     }
 }
 
-/// The ports of consecutive nodes: `40001-40004`, or in a remote net `127.17.2.1-4:34378`.
+/// The ports of consecutive nodes: `20001-20004`, or in a remote net `127.17.2.1-4:34378`.
 fn public_ports(first: &Mapping, last: &Mapping) -> String {
     match first.local_address.zip(last.local_address) {
         None => span(first.public_port, last.public_port),
@@ -180,7 +180,7 @@ fn span<T: PartialEq + ToString>(first: T, last: T) -> String {
 }
 
 /// Consecutive servers, which differ in their last octet, `172.17.17.1-4:34379`, or in their port,
-/// `203.0.113.5:40001-40004`.
+/// `203.0.113.5:20001-20004`.
 fn servers(first: SocketAddr, last: SocketAddr) -> String {
     match (first.ip(), last.ip()) {
         (IpAddr::V4(from), IpAddr::V4(to)) if from != to => {

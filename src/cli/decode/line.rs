@@ -289,14 +289,14 @@ mod tests {
         let asked = Asked {
             packet: 17,
             elapsed: Some(Duration::from_nanos(1_234_499)),
-            server: "203.0.113.5:40004".parse().unwrap(),
+            server: "203.0.113.5:20004".parse().unwrap(),
             from_another_port: true,
         };
         for (asked, words, json) in [
             (
                 asked,
-                "; answer to packet 17 from another port than 40004, +1.234 ms",
-                r#","answer_to":17,"response_time_seconds":0.001234499,"asked_port":40004}"#,
+                "; answer to packet 17 from another port than 20004, +1.234 ms",
+                r#","answer_to":17,"response_time_seconds":0.001234499,"asked_port":20004}"#,
             ),
             (
                 Asked { from_another_port: false, ..asked },

@@ -52,7 +52,7 @@ const BUFFER: usize = 1 << 18;
 /// Show the datagrams of hex text or of a capture (pcap, pcapng), without their passwords, and the PROFINET of a
 /// capture.
 #[derive(Debug, clap::Args)]
-#[command(after_help = "Example:  pnet-nat decode capture.pcapng --ports 40001-40125\n\
+#[command(after_help = "Example:  pnet-nat decode capture.pcapng --ports 20001-20125\n\
     Example:  tcpdump -i eth0 -U -w - udp | pnet-nat decode --format json -\n\
     Example:  pnet-nat decode plant.pcapng --protocol profinet-dcp,profinet-alarm,lldp -v\n\
     Hex text has one datagram a line: 02000000 04830000. Spaces and colons between octets are\n\

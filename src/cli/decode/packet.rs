@@ -138,7 +138,7 @@ mod tests {
     fn v4() -> Vec<u8> {
         let builder = PacketBuilder::ipv4([198, 51, 100, 20], [203, 0, 113, 5], 64);
         let mut packet = Vec::new();
-        builder.udp(50000, 40003).write(&mut packet, OCTETS).unwrap();
+        builder.udp(50000, 20003).write(&mut packet, OCTETS).unwrap();
         packet
     }
 
@@ -189,7 +189,7 @@ mod tests {
             (Linktype::LINUX_SLL2, behind(&sll2(&[8, 0]), v4())),
             (Linktype::LINUX_SLL2, behind(&sll2(&[0x81, 0]), behind(&[0, 7, 8, 0], v4()))),
         ] {
-            assert_eq!(found(link, &packet), "198.51.100.20:50000 > 203.0.113.5:40003", "{link}");
+            assert_eq!(found(link, &packet), "198.51.100.20:50000 > 203.0.113.5:20003", "{link}");
         }
         for (link, packet) in [
             (Linktype::RAW, v6()),

@@ -6,7 +6,7 @@ use anyhow::{Context, ensure};
 
 use crate::pnet::wire::{NORMAL_PORT, SECURE_PORT};
 
-/// A range of ports: `40001-40125`, or one port: `40200`.
+/// A range of ports: `20001-20125`, or one port: `20200`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct PortRange {
     first: u16,
@@ -20,7 +20,7 @@ impl FromStr for PortRange {
         let (first, last) = text.split_once('-').unwrap_or((text, text));
         let port = |text: &str| text.parse::<u16>().context("a port is 1 to 65535");
         let (first, last) = (port(first)?, port(last)?);
-        ensure!(0 < first && first <= last, "write ports like 40001-40125, the lower one first");
+        ensure!(0 < first && first <= last, "write ports like 20001-20125, the lower one first");
         Ok(Self { first, last })
     }
 }
@@ -64,9 +64,9 @@ mod tests {
     #[test]
     fn ports_are_read_as_ranges() {
         let range = |text: &str| text.parse::<PortRange>();
-        assert_eq!(range("40001-40125").unwrap(), PortRange { first: 40001, last: 40125 });
-        assert_eq!(range("40200").unwrap(), PortRange { first: 40200, last: 40200 });
-        for bad in ["", "0", "40125-40001", "40001-", "65536", "40001-40002-3"] {
+        assert_eq!(range("20001-20125").unwrap(), PortRange { first: 20001, last: 20125 });
+        assert_eq!(range("20200").unwrap(), PortRange { first: 20200, last: 20200 });
+        for bad in ["", "0", "20125-20001", "20001-", "65536", "20001-20002-3"] {
             assert!(range(bad).is_err(), "{bad:?}");
         }
     }
@@ -74,10 +74,10 @@ mod tests {
     #[test]
     fn a_set_has_the_ports_of_p_net_and_those_that_were_added() {
         let range = |first, last| PortRange { first, last };
-        let mut ports = Ports::of_p_net_and(&[range(1, 1), range(40001, 40125)]);
+        let mut ports = Ports::of_p_net_and(&[range(1, 1), range(20001, 20125)]);
         ports.add(65535);
         let all: Vec<_> = (0..=u16::MAX).filter(|&port| ports.contains(port)).collect();
-        let right = [1, 34378, 34379].into_iter().chain(40001..=40125).chain([65535]);
+        let right = [1].into_iter().chain(20001..=20125).chain([34378, 34379, 65535]);
         assert_eq!(all, right.collect::<Vec<_>>());
     }
 }

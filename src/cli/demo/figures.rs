@@ -162,7 +162,7 @@ pub(super) mod tests {
             |dropped| Relayed { received: requests + dropped, forwarded: requests, dropped };
         let node = |node_address: u8| NodeFigures {
             node_address,
-            public: SocketAddr::from(([127, 0, 0, 1], 40_000 + u16::from(node_address))),
+            public: SocketAddr::from(([127, 0, 0, 1], 20_000 + u16::from(node_address))),
             server: SocketAddr::from(([127, 17, 17, node_address], 34_379)),
             polled,
             relayed: [relayed(400_000), relayed(0)],

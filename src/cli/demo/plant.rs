@@ -133,13 +133,13 @@ fn bind_nodes(password: &Password) -> anyhow::Result<(Vec<ServerNode>, u16)> {
             Err(NodeError::Listen(error)) if error.is_in_use() => continue,
             nodes => nodes?,
         };
-        let start_port = 40_000 + 200 * u16::from(subnet - SUBNETS.start());
+        let start_port = 20_000 + 127 * u16::from(subnet - SUBNETS.start());
         let is_free = |node: u8| UdpSocket::bind((PUBLIC, start_port + u16::from(node))).is_ok();
         if NODES.into_iter().all(is_free) {
             return Ok((nodes, start_port));
         }
     }
-    bail!("no block of free UDP ports on {PUBLIC} between 40000 and 60000; end another program")
+    bail!("no block of free UDP ports on {PUBLIC} between 20000 and 32700; end another program")
 }
 
 fn bind_subnet(subnet: u8, password: &Password) -> Result<Vec<ServerNode>, NodeError> {

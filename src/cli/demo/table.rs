@@ -194,7 +194,7 @@ mod tests {
         node.polled.round_trips = Duration::from_millis(2_500_000);
         assert_eq!(
             row(&node, Paint { colour: false }),
-            "127.0.0.1:40001  → 127.17.17.1:34379     1000000   1000000   2.50 ms   400000\n"
+            "127.0.0.1:20001  → 127.17.17.1:34379     1000000   1000000   2.50 ms   400000\n"
         );
         assert!(row(&node, Paint { colour: true }).contains("\x1b[32m  1000000\x1b[0m"));
         node.polled.right -= 2;

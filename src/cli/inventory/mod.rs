@@ -35,7 +35,7 @@ use targets::Source;
 /// List PROFINET devices with their identification (I&M): by asking them, or from a capture.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:  pnet-nat inventory 172.17.17.0/24\n\
-    \x20         pnet-nat inventory 198.51.100.1:40104 --format json\n\
+    \x20         pnet-nat inventory 198.51.100.1:20104 --format json\n\
     \x20         pnet-nat inventory capture.pcapng --format csv\n\
     Each device is asked for the list of its endpoint mapper, for I&M0FilterData, for I&M0 to I&M5 of each \
     submodule that has them, and for the neighbours of its ports, all by Read Implicit: without a connection, and nothing is written. An answer counts from \
@@ -44,7 +44,7 @@ use targets::Source;
     is printed. Exit codes: 0 there is a device, 1 there is none, 2 bad command line.")]
 pub(super) struct Args {
     /// Addresses to ask: 172.17.17.7, 172.17.17.1-20, 172.17.17.0/24, or one with its port, such as a
-    /// relay's public port: 198.51.100.1:40104. Or a capture (pcap, pcapng; - is the standard input) of
+    /// relay's public port: 198.51.100.1:20104. Or a capture (pcap, pcapng; - is the standard input) of
     /// others who ask: then nothing is sent.
     #[arg(value_name = "ADDRESS|FILE", required = true, value_parser = targets::source)]
     sources: Vec<Source>,

@@ -32,7 +32,7 @@ impl Source {
 pub(super) enum BadSource {
     #[error(
         "{0:?} is no address: write 172.17.17.7, 172.17.17.1-20, 172.17.17.0/24 or \
-         198.51.100.1:40104; a file whose name looks like one can be written as ./{0}"
+         198.51.100.1:20104; a file whose name looks like one can be written as ./{0}"
     )]
     NoAddress(String),
     #[error("{0} is not the address of one device")]
@@ -112,7 +112,7 @@ mod tests {
     #[test]
     fn addresses_are_written_in_four_ways() {
         assert_eq!(all(&["172.17.17.7"]), ["172.17.17.7:34964"]);
-        assert_eq!(all(&["198.51.100.1:40104"]), ["198.51.100.1:40104"]);
+        assert_eq!(all(&["198.51.100.1:20104"]), ["198.51.100.1:20104"]);
         let some = ["172.17.17.9:34964", "172.17.17.10:34964"];
         assert_eq!(all(&["172.17.17.9-10"]), some);
         assert_eq!(all(&["172.17.17.9-172.17.17.10"]), some);

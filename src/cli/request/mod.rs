@@ -24,7 +24,7 @@ use crate::pnet::wire::{Elements, IpNetId, Password};
 /// Ask server nodes behind a NAT router, as a remote client does.
 #[derive(Debug, clap::Args)]
 #[command(
-    after_help = "Example:  pnet-nat request --to 192.0.2.1 --start-port 40000 --node 1-4 \\\n\
+    after_help = "Example:  pnet-nat request --to 192.0.2.1 --start-port 20000 --node 1-4 \\\n\
     \x20                          --password-file secrets/section-1\n\
     \x20         pnet-nat request --table client.toml --net 2 --node 1-4 --count 100 --window 8\n\
     Without --data, each request carries its number; a simulated node sends it back. Exit codes: 0 all \

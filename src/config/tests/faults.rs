@@ -131,7 +131,7 @@ fn refuses_what_is_missing() {
     refuses(&[
         ("listen = [\"192.0.2.1\"]", "", 1, "public.listen", "add `listen = "),
         ("[\"192.0.2.1\"]", "[]", 2, "public.listen", "empty"),
-        ("start_port = 40000", "", 4, "udp_range_net[0].start_port", "missing"),
+        ("start_port = 20000", "", 4, "udp_range_net[0].start_port", "missing"),
         ("name = \"press\"", "", 14, "server[0].name", "missing"),
         ("allow = [\"198.51.100.7\"]", "", 14, "server[0].allow", "missing"),
         ("[\"198.51.100.7\"]", "[]", 19, "server[0].allow", "empty"),
@@ -164,15 +164,15 @@ fn refuses_addresses_and_ports_that_cannot_be() {
         ("\"192.0.2.1\"", "\"192.0.2.1\", \"0.0.0.0\"", 2, "public.listen[1]", "overlap"),
         // A15
         (
-            "= 40000",
+            "= 20000",
             "= 65500",
             6,
             "udp_range_net[0].start_port",
             "65500 + 125 is over 65535; choose a start port up to 65410",
         ),
-        ("= 40000", "= 65411", 6, "udp_range_net[0].start_port", "65410"),
-        ("= 40000", "= 0", 6, "udp_range_net[0].start_port", "out of bounds"),
-        ("= 40000", "= 70000", 6, "udp_range_net[0].start_port", "out of bounds"),
+        ("= 20000", "= 65411", 6, "udp_range_net[0].start_port", "65410"),
+        ("= 20000", "= 0", 6, "udp_range_net[0].start_port", "out of bounds"),
+        ("= 20000", "= 70000", 6, "udp_range_net[0].start_port", "out of bounds"),
         ("17.0\"", "17.1\"", 7, "udp_range_net[0].subnet", "172.17.17.0"),
         ("172.17.17.0", "224.0.1.0", 7, "udp_range_net[0].subnet", "not a host address"),
         ("172.17.17.0", "fd00::", 7, "udp_range_net[0].subnet", "cannot be read"),
@@ -280,7 +280,7 @@ fn mapped_addresses_are_ipv4() {
         ),
         (
             "172.17.18.7:34379\"\nnode = 7",
-            "[::ffff:192.0.2.1]:40001\"\nnode = 1",
+            "[::ffff:192.0.2.1]:20001\"\nnode = 1",
             17,
             "server[0].address",
             "loop",
@@ -382,11 +382,11 @@ fn refuses_names_that_metrics_could_not_carry() {
 fn refuses_what_two_nets_cannot_share() {
     refuses(&[
         (
-            "40200",
-            "40003",
+            "20200",
+            "20003",
             16,
             "server[0].public_port",
-            "public port 40003 belongs to udp_range_net[0] \"section-1\" (line 4) too",
+            "public port 20003 belongs to udp_range_net[0] \"section-1\" (line 4) too",
         ),
         (
             "172.17.18.7:34379\"\nnode = 7",
@@ -396,11 +396,11 @@ fn refuses_what_two_nets_cannot_share() {
             "server 172.17.17.33:34379 belongs to udp_range_net[0]",
         ),
         // R-11
-        ("40200", "40126", 16, "server[0].public_port", "+ 126 or + 127"),
-        ("40200", "40127", 16, "server[0].public_port", "+ 126 or + 127"),
+        ("20200", "20126", 16, "server[0].public_port", "+ 126 or + 127"),
+        ("20200", "20127", 16, "server[0].public_port", "+ 126 or + 127"),
     ]);
-    assert!(read(&changed("40200", "40005")).is_ok(), "a port of the block that no node uses");
-    let loops = changed("172.17.18.7:34379\"\nnode = 7", "192.0.2.1:40001\"\nnode = 1");
+    assert!(read(&changed("20200", "20005")).is_ok(), "a port of the block that no node uses");
+    let loops = changed("172.17.18.7:34379\"\nnode = 7", "192.0.2.1:20001\"\nnode = 1");
     let Err(Faults(faults)) = read(&loops) else { panic!("a loop is taken") };
     assert_eq!((faults.len(), faults[0].key.as_str()), (1, "server[0].address"));
     let everywhere = loops.replace("192.0.2.1:", "127.0.0.1:").replace("192.0.2.1", "0.0.0.0");
@@ -409,10 +409,10 @@ fn refuses_what_two_nets_cannot_share() {
 
 #[test]
 fn two_ranges_that_overlap_are_one_fault_for_ports_and_one_for_servers() {
-    let again = "[[udp_range_net]]\nname = \"section-2\"\nstart_port = 40002\nsubnet = \"172.17.17.0\"\nnodes = [\"1-2\", 31, 40]\nallow = [\"::/0\"]\nallow_without_password = true\n";
+    let again = "[[udp_range_net]]\nname = \"section-2\"\nstart_port = 20002\nsubnet = \"172.17.17.0\"\nnodes = [\"1-2\", 31, 40]\nallow = [\"::/0\"]\nallow_without_password = true\n";
     let Err(Faults(faults)) = read(&(SOUND.to_owned() + again)) else { panic!("taken") };
     let [ports, servers] = faults.as_slice() else { panic!("{faults:#?}") };
-    assert!(ports.problem.starts_with("public port 40003-40004, 40033 belongs to"), "{ports}");
+    assert!(ports.problem.starts_with("public port 20003-20004, 20033 belongs to"), "{ports}");
     assert!(servers.problem.starts_with("server 172.17.17.1:34379 (and 1 more)"), "{servers}");
     assert_eq!((ports.line, servers.line), (Some(25), Some(26)));
 }
@@ -528,8 +528,8 @@ fn warns_of_a_password_that_looks_mistyped() {
 #[test]
 fn warns_of_what_is_probably_not_meant() {
     let cases: [Case; 7] = [
-        ("= 40000", "= 34378", 6, "udp_range_net[0].start_port", "34379"),
-        ("= 40000", "= 1000", 6, "udp_range_net[0].start_port", "CAP_NET_BIND_SERVICE"),
+        ("= 20000", "= 34378", 6, "udp_range_net[0].start_port", "34379"),
+        ("= 20000", "= 1000", 6, "udp_range_net[0].start_port", "CAP_NET_BIND_SERVICE"),
         ("node = 7", "node = 8", 17, "server[0].address", "last octet"),
         ("node = 7", "node = 7\nidle_timeout = \"119s\"", 19, "server[0].idle_timeout", "RFC 4787"),
         (
@@ -540,7 +540,7 @@ fn warns_of_what_is_probably_not_meant() {
             "PAS 7",
         ),
         (
-            "public_port = 40200",
+            "public_port = 20200",
             "public_port = 7",
             16,
             "server[0].public_port",
@@ -548,7 +548,7 @@ fn warns_of_what_is_probably_not_meant() {
         ),
         // A15
         (
-            "public_port = 40200",
+            "public_port = 20200",
             "public_port = 65418",
             16,
             "server[0].public_port",
@@ -640,7 +640,7 @@ idle_timeout = 300
   file = "secrets/newline"
 [[server]]
 name = "press"
-public_port = "40200"
+public_port = "20200"
 address = "172.17.18.7"
 node = 7
 allow = ["198.51.100.7/24"]

@@ -30,7 +30,7 @@ const ROUTER: Router = Router { up: true };
 /// A net of this kind alone, on these addresses.
 fn text(listen: &str, server: &str) -> String {
     format!(
-        "[public]\nlisten = [\"{listen}\"]\n[[server]]\nname = \"press\"\npublic_port = 40200\n\
+        "[public]\nlisten = [\"{listen}\"]\n[[server]]\nname = \"press\"\npublic_port = 20200\n\
          address = \"{server}\"\nnode = 7\nallow = [\"0.0.0.0/0\"]\n\
          [[server.password]]\nname = \"service\"\nfile = \"secrets/a\"\n"
     )
@@ -46,13 +46,13 @@ fn on(host: &Router, text: &str, in_force: Option<&Table>) -> Result<Vec<Warning
 fn a_server_that_is_the_router_itself_is_refused() {
     for own in ["203.0.113.5", "172.17.17.250"] {
         let Faults(faults) =
-            on(&ROUTER, &text("0.0.0.0", &format!("{own}:40200")), None).unwrap_err();
+            on(&ROUTER, &text("0.0.0.0", &format!("{own}:20200")), None).unwrap_err();
         let [fault] = faults.as_slice() else { panic!("{faults:?}") };
         assert_eq!((fault.line, fault.key.as_str()), (Some(6), "server[0].address"));
         assert!(fault.problem.contains("this router itself") && !fault.passes, "{fault}");
     }
     assert!(on(&ROUTER, &text("0.0.0.0", "172.17.17.250:34379"), None).is_ok(), "a node on it");
-    assert!(on(&ROUTER, &text("203.0.113.5", "172.17.17.250:40200"), None).is_ok(), "not heard");
+    assert!(on(&ROUTER, &text("203.0.113.5", "172.17.17.250:20200"), None).is_ok(), "not heard");
 }
 
 #[test]

@@ -18,7 +18,7 @@ router = 0
 id = 2
 type = "UDPRange"
 address = "203.0.113.5"
-port = 40000
+port = 20000
 router = 1
 use_password = true
 password_file = "secrets/a"
@@ -54,7 +54,7 @@ fn r15_a_table_is_read_whole() {
     assert_eq!(rows, [(1, Nettype::IpRange), (2, Nettype::UdpRange)]);
     let node = Destination::Node(NodeAddress::new(4).unwrap());
     let way = table.translate(id(2), node).unwrap();
-    assert_eq!((way.address.to_string(), way.port), ("203.0.113.5".to_owned(), 40004));
+    assert_eq!((way.address.to_string(), way.port), ("203.0.113.5".to_owned(), 20004));
     assert!(way.use_password && way.next_hop == NodeAddress::new(1));
 }
 
@@ -85,7 +85,7 @@ fn refuses_rows_that_the_standard_forbids() {
         ),
         ("router = 0", "router = 9", 1, "", "no IP Range net has router 0"),
         (
-            "type = \"UDPRange\"\naddress = \"203.0.113.5\"\nport = 40000\nrouter = 1",
+            "type = \"UDPRange\"\naddress = \"203.0.113.5\"\nport = 20000\nrouter = 1",
             "type = \"IPRange\"\naddress = \"172.17.19.0\"\nport = 34378\nrouter = 0",
             15,
             "ip_net[1].router",
@@ -107,13 +107,13 @@ fn refuses_rows_that_the_standard_forbids() {
         ("port = 34378", "port = 34379", 3, "ip_net[0].use_password", "the Secure port"),
         // A15
         (
-            "port = 40000",
+            "port = 20000",
             "port = 65411",
             14,
             "ip_net[1].port",
             "65411 + 125 is over 65535 (PAS 8 d); choose a start port up to 65410",
         ),
-        ("port = 40000", "port = 0", 14, "ip_net[1].port", "out of bounds"),
+        ("port = 20000", "port = 0", 14, "ip_net[1].port", "out of bounds"),
         ("203.0.113.5", "224.0.0.1", 13, "ip_net[1].address", "not a host address"),
         ("172.17.18.0", "0.0.0.0", 6, "ip_net[0].address", "not a subnet of hosts"),
     ]);
@@ -132,7 +132,7 @@ fn refuses_what_cannot_be_read() {
         ("use_password = true", "use_password = \"yes\"", 16, "ip_net[1].use_password", "true or"),
         ("\"203.0.113.5\"", "\"2001:db8::1\"", 13, "ip_net[1].address", "not an IPv4 address"),
         ("203.0.113.5", "203.0.113.5/24", 13, "ip_net[1].address", "write \"203.0.113.5\""),
-        ("203.0.113.5", "203.0.113.5:40000", 13, "ip_net[1].address", "without the port"),
+        ("203.0.113.5", "203.0.113.5:20000", 13, "ip_net[1].address", "without the port"),
         ("203.0.113.5", "router.example", 13, "ip_net[1].address", "names are not looked up"),
         ("id = 2", "id = 99999999999999999999", 11, "ip_net[1].id", "out of bounds"),
         // TOML takes a key for one of the section above it.
@@ -192,7 +192,7 @@ fn warns_of_what_is_probably_not_meant() {
     assert_eq!((line, key.as_str()), (16, "ip_net[1].allow_without_password"));
     assert!(problem.contains("PAS 7 forbids"), "{problem}");
     // A15
-    let (line, key, problem) = warned(&changed("port = 40000", "port = 34378"));
+    let (line, key, problem) = warned(&changed("port = 20000", "port = 34378"));
     assert_eq!((line, key.as_str()), (14, "ip_net[1].port"));
     assert!(problem.contains("node 1 gets port 34379"), "{problem}");
 }

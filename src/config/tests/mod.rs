@@ -31,7 +31,7 @@ listen = ["192.0.2.1"]
 
 [[udp_range_net]]
 name = "section-1"
-start_port = 40000
+start_port = 20000
 subnet = "172.17.17.0"
 nodes = ["1-4", 33]
 allow = ["198.51.100.0/24"]
@@ -41,7 +41,7 @@ file = "secrets/a"
 
 [[server]]
 name = "press"
-public_port = 40200
+public_port = 20200
 address = "172.17.18.7:34379"
 node = 7
 allow = ["198.51.100.7"]
@@ -146,7 +146,7 @@ fn the_sound_configuration_is_sound_and_complete() {
 
     let [section, press] = config.table.nets() else { panic!("two nets") };
     assert_eq!((section.name.as_str(), press.name.as_str()), ("section-1", "press"));
-    assert_eq!(section.kind, NetKind::UdpRange { start_port: 40000 });
+    assert_eq!(section.kind, NetKind::UdpRange { start_port: 20000 });
     assert_eq!(press.kind, NetKind::Server);
     assert_eq!(press.allow, ["198.51.100.7/32".parse().unwrap()]);
     assert_eq!(section.idle_timeout, Duration::from_secs(300));
@@ -163,12 +163,12 @@ fn r9_r10_r12_a_node_has_a_public_port_and_a_server() {
     let rows: Vec<_> =
         mappings.map(|m| (m.net.0, m.node_address, m.public_port, m.server.to_string())).collect();
     let expected = [
-        (0, 1, 40001, "172.17.17.1:34379".to_owned()),
-        (0, 2, 40002, "172.17.17.2:34379".to_owned()),
-        (0, 3, 40003, "172.17.17.3:34379".to_owned()),
-        (0, 4, 40004, "172.17.17.4:34379".to_owned()),
-        (0, 33, 40033, "172.17.17.33:34379".to_owned()),
-        (1, 7, 40200, "172.17.18.7:34379".to_owned()),
+        (0, 1, 20001, "172.17.17.1:34379".to_owned()),
+        (0, 2, 20002, "172.17.17.2:34379".to_owned()),
+        (0, 3, 20003, "172.17.17.3:34379".to_owned()),
+        (0, 4, 20004, "172.17.17.4:34379".to_owned()),
+        (0, 33, 20033, "172.17.17.33:34379".to_owned()),
+        (1, 7, 20200, "172.17.18.7:34379".to_owned()),
     ];
     assert_eq!(rows, expected);
 }

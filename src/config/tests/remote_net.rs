@@ -6,7 +6,7 @@ use super::*;
 const ADAPTER: &str = r#"[[remote_net]]
 name = "plant-2"
 router = "203.0.113.5"
-start_port = 40000
+start_port = 20000
 nodes = ["1-3", 7]
 local_subnet = "127.17.2.0"
 allow = ["127.0.0.0/8"]
@@ -21,7 +21,7 @@ fn each_node_has_an_address_here_and_a_port_there() {
     assert_eq!(warnings, []);
     assert!(config.listen.is_empty(), "nobody comes from outside");
     let [net] = config.table.nets() else { panic!("one net") };
-    assert_eq!(net.kind, NetKind::Remote { start_port: 40_000 });
+    assert_eq!(net.kind, NetKind::Remote { start_port: 20_000 });
     assert!(!net.allow_without_password);
     let ways = config.table.mappings().iter().map(|mapping| {
         let here = SocketAddr::new(mapping.local_address.unwrap(), mapping.public_port);
@@ -32,7 +32,7 @@ fn each_node_has_an_address_here_and_a_port_there() {
         (
             node,
             format!("127.17.2.{node}:34378"),
-            format!("203.0.113.5:{}", 40_000 + u16::from(node)),
+            format!("203.0.113.5:{}", 20_000 + u16::from(node)),
         )
     });
     assert!(ways.eq(expected), "R-10, R-16");
@@ -58,9 +58,9 @@ fn what_cannot_be_is_refused_with_its_place() {
         &[
             ("router = \"203.0.113.5\"\n", "", 1, "remote_net[0].router", "missing"),
             ("203.0.113.5", "0.0.0.0", 3, "remote_net[0].router", "no router can be at 0.0.0.0"),
-            ("203.0.113.5", "203.0.113.5:40000", 3, "remote_net[0].router", "without the port"),
+            ("203.0.113.5", "203.0.113.5:20000", 3, "remote_net[0].router", "without the port"),
             ("203.0.113.5", "plant.example", 3, "remote_net[0].router", "names are not looked up"),
-            ("= 40000", "= 65411", 4, "remote_net[0].start_port", "is over 65535"),
+            ("= 20000", "= 65411", 4, "remote_net[0].start_port", "is over 65535"),
             ("[\"1-3\", 7]", "[126]", 5, "remote_net[0].nodes[0]", "126"),
             ("127.17.2.0", "127.17.2.3", 6, "remote_net[0].local_subnet", "its mask is"),
             ("127.0.0.0/8", "0.0.0.0/0", 7, "remote_net[0].allow[0]", "without a password"),
@@ -108,16 +108,16 @@ fn addresses_ports_and_routers_are_claimed_once() {
     let same_router = other.replace("127.17.2.0", "127.17.3.0");
     assert_eq!(
         fault(&format!("{ADAPTER}{same_router}")),
-        "remote_net[1].router: server 203.0.113.5:40001 (and 3 more) belongs to remote_net[0] \
+        "remote_net[1].router: server 203.0.113.5:20001 (and 3 more) belongs to remote_net[0] \
          \"plant-2\" (line 1) too"
     );
-    let on_a_public_port = ADAPTER.replace("local_subnet", "local_port = 40003\nlocal_subnet");
+    let on_a_public_port = ADAPTER.replace("local_subnet", "local_port = 20003\nlocal_subnet");
     let text = fault(&format!("{SOUND}{on_a_public_port}"));
-    assert!(text.starts_with("remote_net[0].local_subnet: public port 40003"), "{text}");
+    assert!(text.starts_with("remote_net[0].local_subnet: public port 20003"), "{text}");
     let looping = ADAPTER.replace("203.0.113.5", "192.0.2.1");
     let text = fault(&format!("{SOUND}{looping}"));
-    assert!(text.contains("server 192.0.2.1:40001 is a public port of this router"), "{text}");
-    let to_itself = ADAPTER.replace("203.0.113.5", "127.17.2.1").replace("40000", "34377");
+    assert!(text.contains("server 192.0.2.1:20001 is a public port of this router"), "{text}");
+    let to_itself = ADAPTER.replace("203.0.113.5", "127.17.2.1").replace("20000", "34377");
     let text = fault(&to_itself);
     assert!(text.contains("server 127.17.2.1:34378 is a public port of this router"), "{text}");
 }

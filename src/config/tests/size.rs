@@ -55,7 +55,7 @@ fn blocks_that_all_overlap() {
     for index in 0..4000 {
         write!(
             text,
-            "[[udp_range_net]]\nname = \"r{index}\"\nstart_port = 40000\n\
+            "[[udp_range_net]]\nname = \"r{index}\"\nstart_port = 20000\n\
              subnet = \"172.17.17.0\"\nnodes = [\"1-125\"]\nallow = [\"198.51.100.7\"]\n\
              allow_without_password = true\n"
         )

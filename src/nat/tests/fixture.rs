@@ -39,7 +39,7 @@ pub(super) fn net() -> Net {
         allow: vec!["0.0.0.0/0".parse().unwrap(), "::/0".parse().unwrap()],
         credentials: vec![credential("service", PASSWORD, None)],
         max_flows: 100,
-        ..Net::new("section-1", NetKind::UdpRange { start_port: 40_000 })
+        ..Net::new("section-1", NetKind::UdpRange { start_port: 20_000 })
     }
 }
 
@@ -50,7 +50,7 @@ pub(super) fn mapping(net: u16, node_address: u8, public_port: u16, server: &str
 
 /// Node 4 of the first net.
 pub(super) fn node_4() -> Mapping {
-    mapping(0, 4, 40_004, "172.17.17.4:34379")
+    mapping(0, 4, 20_004, "172.17.17.4:34379")
 }
 
 pub(super) fn table(nets: Vec<Net>, mappings: Vec<Mapping>) -> Arc<Table> {

@@ -24,8 +24,8 @@ const SITE: Site = Site {
     max_flows: 100,
     max_requests: None,
     password: PASSWORD,
-    public_port: 40_004,
-    other_port: 40_005,
+    public_port: 20_004,
+    other_port: 20_005,
 };
 
 impl Site {
@@ -192,7 +192,7 @@ fn what_is_withdrawn_is_so_at_once_and_closed_in_its_turn() {
     assert_eq!(closed, 10, "those that a request found first are among them");
     assert!(steps >= 4, "a few at a time, not in {steps} steps");
     let Worker { effects, counters, .. } = &router.workers[0];
-    assert_eq!(effects.closed, vec![(40_004, CloseReason::PasswordWithdrawn); 10]);
+    assert_eq!(effects.closed, vec![(20_004, CloseReason::PasswordWithdrawn); 10]);
     assert_eq!(counters.net(NetId(0)).flows_closed(CloseReason::PasswordWithdrawn).get(), 10);
     assert_eq!((counters.net(NetId(0)).flows.get(), router.flows(0)), (1, 1));
 }
@@ -207,7 +207,7 @@ fn a_flow_does_not_move_to_a_socket_that_took_the_place_of_its_own() {
     assert_eq!((router.flows(0), router.answer(0, to)), (0, Err(DropReason::UnknownFlow)));
     router.request(0, 1, PASSWORD).unwrap();
     assert_eq!(router.settle(0).0, 1);
-    assert_eq!(router.workers[0].effects.closed, [(40_004, CloseReason::MappingRemoved)]);
+    assert_eq!(router.workers[0].effects.closed, [(20_004, CloseReason::MappingRemoved)]);
     assert_eq!(router.flows(0), 1);
 }
 
@@ -251,7 +251,7 @@ fn the_last_answers_come_in_over_a_port_that_is_wanted() {
         }
     }
     let closed = &router.workers[0].effects.closed;
-    assert_eq!(*closed, [(40_004, CloseReason::PortWanted); 2], "and each is told of once");
+    assert_eq!(*closed, [(20_004, CloseReason::PortWanted); 2], "and each is told of once");
 }
 
 /// However many there are, they do not wait for a tick for each part of them.
@@ -283,7 +283,7 @@ fn what_is_withdrawn_gets_no_last_answers() {
     assert_eq!(router.answer(0, to), Err(DropReason::UnknownFlow));
     assert_eq!(router.settle(0).0, 0, "it was closed by the first");
     assert!(!router.close_left(0));
-    assert_eq!(router.workers[0].effects.closed, [(40_004, CloseReason::PortWanted)]);
+    assert_eq!(router.workers[0].effects.closed, [(20_004, CloseReason::PortWanted)]);
 }
 
 #[test]

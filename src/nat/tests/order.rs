@@ -41,7 +41,7 @@ fn rules(max_flows: u32) -> Rules {
 /// The same rules for a net of another plant, which has no use for a password.
 fn remote_rules() -> Rules {
     let Rules { table: section, limits, .. } = rules(1);
-    let kind = NetKind::Remote { start_port: 40_000 };
+    let kind = NetKind::Remote { start_port: 20_000 };
     let net = Net { kind, ..section.nets()[0].clone() };
     Rules::new(table(vec![net], section.mappings().to_vec()), limits)
 }

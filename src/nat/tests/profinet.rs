@@ -24,7 +24,7 @@ fn net() -> Net {
 
 fn rules() -> Rules {
     let device = mapping(0, 0, 45_007, "172.17.17.7:34964");
-    let other = mapping(1, 4, 40_004, "172.17.17.7:34379"); // a P-NET node at the same address
+    let other = mapping(1, 4, 20_004, "172.17.17.7:34379"); // a P-NET node at the same address
     let section = Net { name: "section-1".into(), ..super::fixture::net() };
     Rules::new(table(vec![net(), section], vec![device, other]), LIMITS)
 }

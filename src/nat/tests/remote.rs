@@ -17,11 +17,11 @@ fn rules(passwords: &[&[u8; 8]]) -> Rules {
     let net = Net {
         allow: vec!["127.0.0.0/8".parse().unwrap()],
         credentials: passwords.iter().map(credential).collect(),
-        ..Net::new("plant-2", NetKind::Remote { start_port: 40_000 })
+        ..Net::new("plant-2", NetKind::Remote { start_port: 20_000 })
     };
     let node = |node_address: u8| {
         let local_address = Some([127, 17, 2, node_address].into());
-        let server = format!("203.0.113.5:{}", 40_000 + u16::from(node_address));
+        let server = format!("203.0.113.5:{}", 20_000 + u16::from(node_address));
         Mapping { local_address, ..mapping(0, node_address, 34_378, &server) }
     };
     Rules::new(table(vec![net], vec![node(4), node(5)]), LIMITS)
@@ -79,7 +79,7 @@ impl World {
 fn the_password_is_put_on_and_taken_off() {
     let mut world = World::new(&[NEW]);
     let (to, sent) = world.ask(b"").unwrap();
-    assert_eq!(to.server, "203.0.113.5:40004".parse().unwrap(), "R-10");
+    assert_eq!(to.server, "203.0.113.5:20004".parse().unwrap(), "R-10");
     assert_eq!(sent, request(NEW), "R-3");
     assert_eq!(world.answer(to, NEW), Ok(response(b"")));
     assert_eq!(

@@ -63,6 +63,6 @@ fn a_flow_ends_with_its_time_out_and_not_before() {
     assert_eq!(world.worker.flows(world.now), 1, "N-3: since the answer");
     world.pass(moment);
     assert_eq!(world.worker.flows(world.now), 0);
-    assert_eq!(world.worker.effects.closed, [(40_004, CloseReason::Idle)]);
+    assert_eq!(world.worker.effects.closed, [(20_004, CloseReason::Idle)]);
     assert_eq!(world.answer(), Err(DropReason::UnknownFlow));
 }

@@ -19,7 +19,7 @@
 //! let plant = Fields {
 //!     nettype: Nettype::UdpRange,
 //!     ip_address: [203, 0, 113, 5].into(),
-//!     udp_port: 40000,
+//!     udp_port: 20000,
 //!     use_password: true,
 //!     router: 1,
 //!     ..Fields::UNUSED
@@ -30,7 +30,7 @@
 //!
 //! let node = NodeAddress::new(4).unwrap();
 //! let way = table.translate(two, Destination::Node(node))?;
-//! assert_eq!((way.address, way.port), ([203, 0, 113, 5].into(), 40004));
+//! assert_eq!((way.address, way.port), ([203, 0, 113, 5].into(), 20004));
 //! assert_eq!(way.next_hop, NodeAddress::new(1));
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```

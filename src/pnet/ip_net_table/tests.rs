@@ -31,7 +31,7 @@ const BEHIND_ROUTER: Fields =
 const BEHIND_NAT: Fields = Fields {
     nettype: Nettype::UdpRange,
     ip_address: Ipv4Addr::new(203, 0, 113, 5),
-    udp_port: 40000,
+    udp_port: 20000,
     use_password: true,
     router: 2,
     ..Fields::UNUSED
@@ -93,7 +93,7 @@ fn r10_r19_method_d_is_the_whole_address_and_start_port_plus_node_address() {
         let way = table().translate(id(2), to(number)).unwrap();
         assert_eq!((way.method, way.next_hop), (Method::D, Some(node(2))));
         assert_eq!(way.address, Ipv4Addr::new(203, 0, 113, 5));
-        assert_eq!((way.port, way.use_password), (40000 + u16::from(number), true));
+        assert_eq!((way.port, way.use_password), (20000 + u16::from(number), true));
     }
 }
 
@@ -283,7 +283,7 @@ fn r35_a_client_is_known_by_all_of_four_conditions() {
     let own = SocketAddrV4::new([172, 17, 17, 9].into(), NORMAL_PORT);
     assert!(is_known(Sender { net: id(3), address: own, ..known }));
 
-    let nat = SocketAddrV4::new([203, 0, 113, 5].into(), 40009);
+    let nat = SocketAddrV4::new([203, 0, 113, 5].into(), 20009);
     assert!(!is_known(Sender { net: id(2), address: nat, ..known }), "a UDP Range net");
     for net in [4, 125] {
         assert!(!is_known(Sender { net: id(net), ..known }), "no row");

@@ -175,9 +175,9 @@ fn pass(lines: Lines<'_>, requests: u16, expected: [usize; 4]) -> Option<Passed>
 fn lines_that_lose() {
     let lines = Lines {
         internet: "table inet line { chain in { type filter hook prerouting priority raw;
-            udp sport 40004 numgen inc mod 4 0 drop; }; }",
+            udp sport 20004 numgen inc mod 4 0 drop; }; }",
         edge: "table inet line { chain in { type filter hook prerouting priority raw;
-            udp dport 40004 numgen inc mod 5 0 drop;
+            udp dport 20004 numgen inc mod 5 0 drop;
             ip saddr 172.17.17.4 udp sport 34379 numgen inc mod 5 0 drop; }; }",
         plant: "table inet line { chain in { type filter hook prerouting priority raw;
             ip daddr 172.17.17.4 udp dport 34379 numgen inc mod 4 0 drop; }; }",
@@ -197,9 +197,9 @@ fn lines_that_repeat() {
     };
     let to_node = "ip daddr 172.17.17.4 udp dport 34379";
     let from_node = "ip saddr 172.17.17.4 udp sport 34379";
-    let edge = twice(to_node, "172.17.17.4") + &twice("udp sport 40004", "198.51.100.7");
+    let edge = twice(to_node, "172.17.17.4") + &twice("udp sport 20004", "198.51.100.7");
     let lines = Lines {
-        internet: &twice("udp dport 40004", "198.51.100.1"),
+        internet: &twice("udp dport 20004", "198.51.100.1"),
         edge: &edge,
         plant: &twice(from_node, "172.17.17.254"),
     };
@@ -221,8 +221,8 @@ fn lines_that_reorder() {
     };
     let to_node = slow("ip daddr 172.17.17.4 udp dport 34379");
     let from_node = slow("ip saddr 172.17.17.4 udp sport 34379");
-    let edge = to_node + "\n" + &slow("udp sport 40004");
-    let lines = Lines { internet: &slow("udp dport 40004"), edge: &edge, plant: &from_node };
+    let edge = to_node + "\n" + &slow("udp sport 20004");
+    let lines = Lines { internet: &slow("udp dport 20004"), edge: &edge, plant: &from_node };
     let Some(mut passed) = pass(lines, 100, [100; 4]) else { return };
     for list in [&mut passed.to_node, &mut passed.to_client] {
         assert!(!list.is_sorted(), "nothing was overtaken: {list:?}");

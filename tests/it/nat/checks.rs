@@ -342,7 +342,7 @@ fn on_record(tested: &Tested<'_>) -> bool {
     let (client, node) = (tested.client(CLIENT), tested.network.node(4));
     let exchanged = tested.exchange(&client, &node).is_some() && tested.idle_flows_end();
     let tells = |line: &&str| {
-        ["198.51.100.7", "50000", "40004", "service"].iter().all(|what| line.contains(what))
+        ["198.51.100.7", "50000", "20004", "service"].iter().all(|what| line.contains(what))
     };
     // A log is written a little later than things happen.
     let told = (0..200).any(|_| {

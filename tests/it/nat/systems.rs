@@ -118,7 +118,7 @@ fn start_relay(network: &Network, settings: &Settings) -> Relay {
 
 fn start_kernel(network: &Network, settings: &Settings) {
     let nodes = [1, 2, 3, 4, 33].map(|node_address: u16| {
-        format!("{} : 172.17.17.{node_address} . 34379", 40000 + node_address)
+        format!("{} : 172.17.17.{node_address} . 34379", 20000 + node_address)
     });
     let limit = settings.max_flows.map(|flows| {
         format!(

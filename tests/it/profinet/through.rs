@@ -8,7 +8,7 @@ use crate::harness::{Namespace, Network, PNIO_PORT, Relay};
 /// The device.
 pub(super) const DEVICE: Ipv4Addr = Ipv4Addr::new(172, 17, 17, 4);
 /// The public port that leads to the device.
-pub(super) const PUBLIC_PORT: u16 = 40104;
+pub(super) const PUBLIC_PORT: u16 = 20104;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Through {
@@ -32,7 +32,7 @@ listen = "127.0.0.1:9378"
 drain = "100ms"
 [[profinet_device]]
 name = "drive-4"
-public_port = 40104
+public_port = 20104
 address = "172.17.17.4"
 allow = ["198.51.100.0/24"]
 "#;

@@ -29,7 +29,7 @@ pub const IDLE_TIMEOUT: Duration = Duration::from_secs(300);
 pub const REST: Duration = Duration::from_secs(120);
 
 const PUBLIC: Ipv4Addr = Ipv4Addr::new(203, 0, 113, 5);
-const START_PORT: u16 = 40_000;
+const START_PORT: u16 = 20_000;
 const SERVER_PORT: u16 = 34_379;
 /// Clients at one address, each with its own port.
 const PORTS_OF_AN_ADDRESS: u32 = 250;

@@ -8,7 +8,7 @@ use super::*;
 use crate::pnet::wire::Header;
 
 const CLIENT: &str = "198.51.100.20:50000";
-const SERVER: &str = "203.0.113.5:40004";
+const SERVER: &str = "203.0.113.5:20004";
 
 /// A datagram with this route and three data octets.
 fn datagram(route: &[u8]) -> Vec<u8> {
@@ -146,10 +146,10 @@ fn an_answer_from_another_port_is_told_and_its_request_stays_open() {
         let asked = pairing.answer(&parsed(&octets), 9, at(2), ends(server, CLIENT));
         asked.map(|asked| (asked.packet, asked.server.port(), asked.from_another_port))
     };
-    assert_eq!(from("203.0.113.5:40005"), Some((1, 40004, true)));
-    assert_eq!(from("203.0.113.6:40004"), None);
-    assert_eq!(from("203.0.113.5:40004"), Some((1, 40004, false)));
-    assert_eq!(from("203.0.113.5:40005"), None);
+    assert_eq!(from("203.0.113.5:20005"), Some((1, 20004, true)));
+    assert_eq!(from("203.0.113.6:20004"), None);
+    assert_eq!(from("203.0.113.5:20004"), Some((1, 20004, false)));
+    assert_eq!(from("203.0.113.5:20005"), None);
 }
 
 #[test]

@@ -23,7 +23,7 @@ fn net(passwords: &[[u8; 8]], allow_without_password: bool) -> Net {
         allow: vec!["0.0.0.0/0".parse().unwrap()],
         credentials: passwords.iter().map(credential).collect(),
         allow_without_password,
-        ..Net::new("section-1", NetKind::UdpRange { start_port: 40_000 })
+        ..Net::new("section-1", NetKind::UdpRange { start_port: 20_000 })
     }
 }
 
@@ -72,7 +72,7 @@ impl Judge {
         let server = "172.17.17.4:34379".parse().unwrap();
         let (net_id, local_address) = (NetId(0), None);
         let mapping =
-            Mapping { net: net_id, node_address: 4, local_address, public_port: 40_004, server };
+            Mapping { net: net_id, node_address: 4, local_address, public_port: 20_004, server };
         let table = Table::new(Header::default(), vec![net.clone()], vec![mapping]);
         let limits = Limits {
             max_flows: 1,

@@ -17,7 +17,7 @@
 //! let password = Some(Password::new(*b"PNETPASS"));
 //! let mut client = Client::new(Arep::new(Source::FIGURE_10));
 //! let endpoint = client.reserve(Attributes::new(DestinationRoute {
-//!     way: Way { address: "203.0.113.5:40004".parse()?, password },
+//!     way: Way { address: "203.0.113.5:20004".parse()?, password },
 //!     ip_net_id: IpNetId::new(11).unwrap(),
 //!     node: Destination::Node(NodeAddress::new(4).unwrap()),
 //!     beyond: Elements::from_iter([2, 33]),
@@ -27,11 +27,11 @@
 //! let mut octets = [0; MAX_DATAGRAM];
 //! while let Some(transmit) = client.poll_transmit(Duration::ZERO, &mut octets) {
 //!     // Send octets[..transmit.length] to transmit.to.
-//! #   assert_eq!(transmit.to, "203.0.113.5:40004".parse()?);
+//! #   assert_eq!(transmit.to, "203.0.113.5:20004".parse()?);
 //! }
 //! // What comes from the socket goes to client.receive(), until client.next_timeout().
 //! # let response = b"\x02\0\0\0\x7D\x07\x06\x01\x8B\x84\x82\xA1\x80\x00\x03xyzPNETPASS";
-//! client.receive(Duration::from_millis(20), "203.0.113.5:40004".parse()?, response)?;
+//! client.receive(Duration::from_millis(20), "203.0.113.5:20004".parse()?, response)?;
 //! assert_eq!(client.poll_finished(), Some(endpoint));
 //! let Some(Outcome::Answered(response)) = client.take_outcome(endpoint) else { panic!() };
 //! assert_eq!(response.data_octets, b"xyz");

@@ -14,7 +14,7 @@ use crate::pnet::wire::{
 };
 
 const PASSWORD: &[u8; 8] = b"PNETPASS";
-const NODE_4: &str = "203.0.113.5:40004";
+const NODE_4: &str = "203.0.113.5:20004";
 const FLAT: Option<FlatAddressing> = Some(FlatAddressing { read: Some(1), write: Some(2) });
 
 fn millis(millis: u64) -> Duration {
@@ -29,7 +29,7 @@ fn address(text: &str) -> SocketAddr {
 fn to_node(node: u8) -> Attributes {
     Attributes::new(DestinationRoute {
         way: Way {
-            address: SocketAddr::from(([203, 0, 113, 5], 40000 + u16::from(node))),
+            address: SocketAddr::from(([203, 0, 113, 5], 20000 + u16::from(node))),
             password: Some(Password::new(*PASSWORD)),
         },
         ip_net_id: IpNetId::new(11).unwrap(),
@@ -159,7 +159,7 @@ fn r44_the_window_lets_as_many_wait_as_it_says() {
     let first = sent(&mut client, millis(0));
     assert_eq!(first.iter().map(|octets| octets[5]).collect::<Vec<_>>(), [1, 2, 3]);
     assert!(sent(&mut client, millis(0)).is_empty());
-    client.receive(millis(1), address("203.0.113.5:40002"), &response_to(&first[1])).unwrap();
+    client.receive(millis(1), address("203.0.113.5:20002"), &response_to(&first[1])).unwrap();
     assert_eq!(client.poll_finished(), Some(ids[1]));
     assert_eq!(sent(&mut client, millis(1))[0][5], 4);
     client.free(ids[0]);
@@ -274,7 +274,7 @@ fn responses_may_come_in_any_order() {
     let ids: Vec<_> = (1..=8).map(|node| ask(&mut client, to_node(node), &[node; 3])).collect();
     let requests = sent(&mut client, millis(0));
     for (request, node) in requests.iter().zip(1..=8_u16).rev() {
-        let from = SocketAddr::from(([203, 0, 113, 5], 40000 + node));
+        let from = SocketAddr::from(([203, 0, 113, 5], 20000 + node));
         client.receive(millis(1), from, &response_to(request)).unwrap();
     }
     for (id, node) in ids.into_iter().zip(1..) {
@@ -316,7 +316,7 @@ fn what_does_not_answer_a_request_is_ignored_with_a_reason() {
         let refused = client.receive(millis(1), address(NODE_4), &octets);
         assert_eq!(refused, Err(why), "{octets:02X?}");
     }
-    for from in ["203.0.113.5:40005", "203.0.113.6:40004", "[::1]:40004"] {
+    for from in ["203.0.113.5:20005", "203.0.113.6:20004", "[::1]:20004"] {
         let refused = client.receive(millis(1), address(from), &right);
         assert_eq!(refused, Err(Ignored::OtherPort(address(from))));
     }
@@ -350,7 +350,7 @@ fn what_the_network_reports_ends_the_request_that_it_quotes() {
     let why = Undelivered::from(std::io::ErrorKind::ConnectionRefused);
     // Of another destination, of an endpoint that does not wait, and of none at all.
     client.undelivered(address(NODE_4), &requests[2], why);
-    client.undelivered(address("203.0.113.9:40004"), &[], why);
+    client.undelivered(address("203.0.113.9:20004"), &[], why);
     assert_eq!(client.poll_finished(), None);
     client.undelivered(address(NODE_4), &requests[1], why);
     assert_eq!((client.poll_finished(), client.poll_finished()), (Some(ids[1]), None));
@@ -392,7 +392,7 @@ fn r40_a_client_keeps_the_address_that_a_server_gives_it() {
         assert_eq!(request[9..11], source);
         let mut response = response_to(&request);
         response[4..6].copy_from_slice(&given);
-        let from = SocketAddr::from(([203, 0, 113, 5], 40000 + u16::from(node)));
+        let from = SocketAddr::from(([203, 0, 113, 5], 20000 + u16::from(node)));
         client.receive(millis(1), from, &response).unwrap();
         assert_eq!(answered(&mut client, id).destinations[..2], given);
         client.free(id);
@@ -479,7 +479,7 @@ fn a_route_by_the_table() {
         allow_without_password: false,
     };
     let own = row(Nettype::IpRange, [172, 17, 18, 0], NORMAL_PORT, false, 0);
-    let plant = row(Nettype::UdpRange, [203, 0, 113, 5], 40000, true, 1);
+    let plant = row(Nettype::UdpRange, [203, 0, 113, 5], 20000, true, 1);
     let [one, two, three] = [1, 2, 3].map(|number| IpNetId::new(number).unwrap());
     let table = IpNetTable::new(NodeAddress::new(4).unwrap(), [(one, own), (two, plant)]).unwrap();
     let password = Password::new(*PASSWORD);
@@ -488,7 +488,7 @@ fn a_route_by_the_table() {
     let local = way(one, Some(&password)).unwrap().way;
     assert_eq!((local.address, local.password.is_some()), (address("172.17.18.33:34378"), false));
     let remote = way(two, Some(&password)).unwrap().way;
-    assert_eq!((remote.address, remote.password.is_some()), (address("203.0.113.5:40033"), true));
+    assert_eq!((remote.address, remote.password.is_some()), (address("203.0.113.5:20033"), true));
     assert_eq!(way(two, None).unwrap_err(), NoWay::NoPassword(two));
     assert!(matches!(way(three, None), Err(NoWay::Translate(_))));
 }
@@ -560,7 +560,7 @@ proptest! {
                 }
                 Event::Answer { back: number, change, other_port } => {
                     let Some(request) = back(&datagrams, number) else { continue };
-                    let port = 40000 + u16::from(request[5]) + u16::from(other_port);
+                    let port = 20000 + u16::from(request[5]) + u16::from(other_port);
                     let mut response = response_to(&request);
                     // Endpoint address and data stay as they are: they tell what is answered.
                     if let Some((at, to)) = change.filter(|(at, _)| *at != 7 && !(15..19).contains(at))
@@ -586,7 +586,7 @@ proptest! {
                 }
                 Event::Undelivered { back: number, cut } => {
                     let Some(request) = back(&datagrams, number) else { continue };
-                    let to = ([203, 0, 113, 5], 40000 + u16::from(request[5])).into();
+                    let to = ([203, 0, 113, 5], 20000 + u16::from(request[5])).into();
                     let quoted = &request[..cut.min(request.len())];
                     client.undelivered(to, quoted, Undelivered::NothingListens);
                 }

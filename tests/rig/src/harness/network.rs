@@ -46,7 +46,7 @@ const PLANT: &str = "
     route add default via 172.17.17.254 src 172.17.17.100";
 
 /// The start port in the annotated configuration.
-const START_PORT: u16 = 40000;
+const START_PORT: u16 = 20000;
 
 /// The three namespaces.
 #[derive(Debug)]

@@ -2,7 +2,7 @@ use super::*;
 
 #[test]
 fn an_address_comes_back_as_it_was_set() {
-    for text in ["198.51.100.7:40004", "[2001:db8::7]:40004", "[fe80::1%3]:1"] {
+    for text in ["198.51.100.7:20004", "[2001:db8::7]:20004", "[fe80::1%3]:1"] {
         let address: SocketAddr = text.parse().unwrap();
         let mut name = Name::default();
         let len = name.set(address);

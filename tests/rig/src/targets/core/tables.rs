@@ -52,7 +52,7 @@ fn table(variant: u8, section_flows: u32, rate: Option<RequestRate>) -> Table {
     if differs(3) {
         passwords.reverse();
     }
-    let range = NetKind::UdpRange { start_port: 40_000 };
+    let range = NetKind::UdpRange { start_port: 20_000 };
     let section = net("section-1", range, passwords, 150, section_flows);
     let press = vec![credential(b"press!!!", None)];
     let mut press = net("press", NetKind::Server, press, 30, 3);
@@ -60,7 +60,7 @@ fn table(variant: u8, section_flows: u32, rate: Option<RequestRate>) -> Table {
     let mut open = net("open", NetKind::Server, Vec::new(), 150, 3);
     open.allow_without_password = true;
 
-    let remote = NetKind::Remote { start_port: 40_000 };
+    let remote = NetKind::Remote { start_port: 20_000 };
     let mut other = vec![credential(b"remote-1", None), credential(b"remote-2", None)];
     if differs(3) {
         other.reverse();
@@ -76,12 +76,12 @@ fn table(variant: u8, section_flows: u32, rate: Option<RequestRate>) -> Table {
     };
     let third = if differs(4) { "172.17.17.34:34379" } else { "172.17.17.33:34379" };
     let mut mappings = vec![
-        mapping(0, 1, 40_001, "172.17.17.1:34379"),
-        mapping(0, 33, 40_033, third),
-        mapping(1, 7, 40_200, "172.17.18.7:34379"),
+        mapping(0, 1, 20_001, "172.17.17.1:34379"),
+        mapping(0, 33, 20_033, third),
+        mapping(1, 7, 20_200, "172.17.18.7:34379"),
         mapping(2, 8, 40_201, "172.17.18.8:34379"),
-        mapping(3, 1, 34_378, "203.0.113.5:40001"),
-        mapping(3, 2, 34_378, "203.0.113.5:40002"),
+        mapping(3, 1, 34_378, "203.0.113.5:20001"),
+        mapping(3, 2, 34_378, "203.0.113.5:20002"),
     ];
     if differs(5) {
         mappings.remove(0);
