@@ -10,7 +10,7 @@ pub struct NetId(pub u16);
 pub struct MappingId(pub u32);
 
 /// Index of a flow.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct FlowId(pub(super) u32);
 
 impl FlowId {

@@ -34,6 +34,8 @@ impl Core {
             let open = by_net.get(&*net.name).copied().unwrap_or_default();
             assert_eq!(self.counters.net(id).flows.get(), open);
         }
+        let leaving = self.flows.iter().filter(|(_, flow)| flow.left > 0).map(|(id, _)| id);
+        assert_eq!(self.leaving, leaving.collect(), "those that wait for their last answers");
         self.upstreams.check_invariants(self.flows.len());
     }
 }

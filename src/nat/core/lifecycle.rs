@@ -118,8 +118,9 @@ impl Core {
         self.wheel.remove(id);
         let flow = self.flows.remove(id);
         self.upstreams.release(flow.upstream, flow.server, now);
-        if flow.left == 0 {
-            self.note_closed(&flow, reason, now, effects);
+        match flow.left {
+            0 => self.note_closed(&flow, reason, now, effects),
+            _ => _ = self.leaving.remove(&id), // another flow may get its number
         }
         self.note_withdrawn(&flow);
     }
@@ -130,7 +131,7 @@ impl Core {
         self.flows.leave(id);
         self.note_closed(self.flows.get(id), CloseReason::PortWanted, now, effects);
         self.flows.get_mut(id).left = now;
-        self.leaving.push(id);
+        self.leaving.insert(id);
     }
 
     /// Closes the sockets whose ports are wanted for something else and that wait for no answer any
@@ -155,17 +156,11 @@ impl Core {
         if self.going_over.is_some() {
             return false;
         }
-        let mut ended = Vec::new();
-        let flows = &self.flows;
-        self.leaving.retain(|&id| {
-            let Some(flow) = flows.find(id).filter(|flow| flow.left > 0) else { return false };
-            let ends = !flow.awaits_answers(now) || now - flow.left >= LAST_ANSWERS;
-            let ends = ends && ended.len() < AT_ONCE;
-            if ends {
-                ended.push(id);
-            }
-            !ends
-        });
+        let ends = |id: &FlowId| {
+            let flow = self.flows.get(*id);
+            !flow.awaits_answers(now) || now - flow.left >= LAST_ANSWERS
+        };
+        let ended: Vec<_> = self.leaving.iter().copied().filter(ends).take(AT_ONCE).collect();
         let more = ended.len() == AT_ONCE;
         ended.into_iter().for_each(|id| self.close(id, CloseReason::PortWanted, now, effects));
         more

@@ -13,6 +13,7 @@ mod reload;
 mod request;
 mod response;
 
+use std::collections::BTreeSet;
 use std::hash::BuildHasher;
 use std::net::IpAddr;
 use std::sync::Arc;
@@ -66,7 +67,7 @@ pub struct Core {
     pub(super) upstreams: Upstreams,
     /// Flows that wait for last answers on sockets that are about to be closed. Some of them may be
     /// closed already.
-    pub(super) leaving: Vec<FlowId>,
+    pub(super) leaving: BTreeSet<FlowId>,
     pub(super) throttle: Throttle,
     start: Instant,
 }
@@ -87,7 +88,7 @@ impl Core {
             era: 0,
             going_over: None,
             upstreams: Upstreams::new(hash, choice, capacity),
-            leaving: Vec::new(),
+            leaving: BTreeSet::new(),
             throttle,
             start,
         }

@@ -286,6 +286,28 @@ fn what_is_withdrawn_gets_no_last_answers() {
     assert_eq!(router.workers[0].effects.closed, [(20_004, CloseReason::PortWanted)]);
 }
 
+/// A flow that waited for its last answers is withdrawn, and a flow of another client gets its number
+/// and has to leave its port, too.
+#[test]
+fn the_number_of_a_flow_that_left_can_leave_again() {
+    let mut router = Router::new(1, SITE);
+    router.request(0, 1, PASSWORD).unwrap();
+    for (password, other_port) in [(PASSWORD, 50_000), (b"another!", 50_000), (b"another!", 50_001)]
+    {
+        let next = router.next(Site { password, other_port, ..SITE }, &[]).remove(0);
+        router.go_over(0, next);
+        router.settle(0);
+        if password != PASSWORD && other_port == 50_000 {
+            router.request(0, 2, password).unwrap();
+        }
+    }
+    router.now += Duration::from_secs(2);
+    let Worker { core, effects, .. } = &mut router.workers[0];
+    while core.expire(router.now, effects) {}
+    core.check_invariants(router.now);
+    assert_eq!(effects.closed, [(20_004, CloseReason::PortWanted); 2]);
+}
+
 #[test]
 fn a_reload_on_top_of_another_finishes_it_first() {
     let mut router = Router::new(1, SITE);
