@@ -16,7 +16,7 @@ use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio::sync::Notify;
 
 use super::signals::{Signals, let_hangup_through};
-use super::{BAD_USE, TRY_AGAIN, complain, load, told};
+use super::{BAD_USE, CONFIG, TRY_AGAIN, complain, load, told};
 use crate::admin::control::{self, ControlError, ControlFile};
 use crate::admin::{self, Listeners};
 use crate::config::{self, Admin, Config, Warning};
@@ -43,7 +43,7 @@ const ADDRESS_LOOK: Duration = Duration::from_millis(100);
 #[command(after_help = "Example:  pnet-nat run --config /etc/pnet-nat/pnet-nat.toml")]
 pub(super) struct Args {
     /// The configuration file; config/pnet-nat.toml explains every key.
-    #[arg(long, value_name = "FILE", env = "PNET_NAT_CONFIG")]
+    #[arg(short, long, value_name = "FILE", env = "PNET_NAT_CONFIG", default_value = CONFIG)]
     config: PathBuf,
     /// Run without confinement: for debugging, and to find out whether the confinement causes a fault.
     #[arg(
