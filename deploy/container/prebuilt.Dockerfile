@@ -22,7 +22,7 @@ USER 65532:65532
 # The configuration goes into this folder, which is mounted whole: files that are exchanged in it are
 # seen at the next reload.
 ENV PNET_NAT_CONFIG=/etc/pnet-nat/pnet-nat.toml
-# Asks 127.0.0.1:9378; PNET_NAT_HEALTHCHECK_URL names another `[admin] listen`.
+# Asks where [admin] of the configuration says; PNET_NAT_HEALTHCHECK_URL names another place.
 HEALTHCHECK --interval=10s --timeout=5s CMD ["/usr/bin/pnet-nat", "healthcheck"]
 ENTRYPOINT ["/usr/bin/pnet-nat"]
 CMD ["run"]

@@ -3,7 +3,7 @@
 //!
 //! Probes are always answered: they reveal nothing, and probes seldom have a token. The files of the
 //! status page need no token either, since a browser sends none when it loads a page. The page asks the
-//! user for the token.
+//! user for the token. Over the control socket every request is answered.
 
 use axum::extract::{Request, State};
 use axum::http::header::{
@@ -15,6 +15,7 @@ use axum::http::{HeaderMap, HeaderValue, Method, StatusCode};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 
+use super::control::FromControl;
 use super::{Shared, page};
 use crate::config::Admin;
 
@@ -37,7 +38,11 @@ pub(super) async fn control(
     request: Request,
     next: Next,
 ) -> Response {
-    let verdict = {
+    // The mode of the control socket has decided who may connect.
+    let from_control = request.extensions().get::<FromControl>().is_some();
+    let verdict = if from_control {
+        Ok(())
+    } else {
         let active = shared.router.active_config();
         active.config.admin.as_ref().map_or(Ok(()), |admin| admit(admin, &request))
     };

@@ -17,12 +17,12 @@ pub(super) const MOST: usize = 96;
 pub(super) struct Connections {
     tasks: JoinSet<()>,
     /// Oldest first.
-    open: VecDeque<(IpAddr, AbortHandle)>,
+    open: VecDeque<(Source, AbortHandle)>,
 }
 
 impl Connections {
     /// Serves a new connection, and cuts another one if there are too many.
-    pub(super) fn add(&mut self, from: IpAddr, serving: impl Future<Output = ()> + Send + 'static) {
+    pub(super) fn add(&mut self, from: Source, serving: impl Future<Output = ()> + Send + 'static) {
         while self.tasks.try_join_next().is_some() {}
         self.open.retain(|(_, task)| !task.is_finished());
         if self.open.len() >= MOST
@@ -30,7 +30,7 @@ impl Connections {
         {
             task.abort();
         }
-        self.open.push_back((source(from), self.tasks.spawn(serving)));
+        self.open.push_back((from, self.tasks.spawn(serving)));
     }
 
     /// Waits until the open ones end, but no longer than `grace`.
@@ -49,11 +49,21 @@ impl Connections {
     }
 }
 
-/// The address, or the /64 of an IPv6 address: who has one address of a /64 has them all.
-fn source(address: IpAddr) -> IpAddr {
-    match address.to_canonical() {
-        IpAddr::V6(v6) => Ipv6Addr::from_bits(v6.to_bits() & !u128::from(u64::MAX)).into(),
-        v4 => v4,
+/// Whom a connection is counted for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub(super) enum Source {
+    /// An address, or the /64 of an IPv6 address: who has one address of a /64 has them all.
+    Address(IpAddr),
+    /// Everybody who may use the control socket.
+    Control,
+}
+
+impl Source {
+    pub(super) fn of(address: IpAddr) -> Self {
+        Self::Address(match address.to_canonical() {
+            IpAddr::V6(v6) => Ipv6Addr::from_bits(v6.to_bits() & !u128::from(u64::MAX)).into(),
+            v4 => v4,
+        })
     }
 }
 
@@ -66,7 +76,8 @@ mod tests {
     #[tokio::test]
     async fn the_oldest_of_the_greediest_is_cut() {
         let mut connections = Connections::default();
-        let [one, greedy, new] = [1, 2, 3].map(|host| IpAddr::from([192, 0, 2, host]));
+        let [greedy, new] = [2, 3].map(|host| Source::of([192, 0, 2, host].into()));
+        let one = Source::Control;
         connections.add(one, future::pending());
         for _ in 1..MOST {
             connections.add(greedy, future::pending());
@@ -91,7 +102,8 @@ mod tests {
             ("::ffff:198.51.100.7", "198.51.100.7"),
             ("2001:db8:1:2:3:4:5:6", "2001:db8:1:2::"),
         ] {
-            assert_eq!(source(address.parse().unwrap()), expected.parse::<IpAddr>().unwrap());
+            let expected = Source::Address(expected.parse().unwrap());
+            assert_eq!(Source::of(address.parse().unwrap()), expected);
         }
     }
 }

@@ -7,6 +7,8 @@
 mod access;
 mod api;
 mod connections;
+pub mod control;
+mod listeners;
 mod page;
 mod scrape;
 #[cfg(test)]
@@ -19,17 +21,16 @@ use std::pin::pin;
 use std::sync::Arc;
 use std::time::Duration;
 
-use axum::Json;
 use axum::extract::State;
 use axum::http::StatusCode;
 use axum::middleware;
 use axum::response::{IntoResponse, Response};
 use axum::routing::{get, post};
+use axum::{Extension, Json};
 use hyper::server::conn::http1;
 use hyper_util::rt::{TokioIo, TokioTimer};
 use hyper_util::service::TowerToHyperService;
-use socket2::SockRef;
-use tokio::net::{TcpListener, TcpStream};
+use tokio::io::{AsyncRead, AsyncWrite};
 use tokio::task::yield_now;
 use tokio::time::{sleep, timeout};
 use tokio_io_timeout::TimeoutStream;
@@ -41,6 +42,9 @@ use crate::reload::Reloader;
 use crate::sandbox::Sandbox;
 
 use connections::Connections;
+use control::FromControl;
+use listeners::Connection;
+pub use listeners::Listeners;
 use scrape::Scrapes;
 use turn::Turn;
 
@@ -50,8 +54,6 @@ const HEADER_TIME: Duration = Duration::from_secs(2);
 const STILL_TIME: Duration = Duration::from_secs(10);
 /// The longest time from accepting a connection to the last octet of the answer.
 const CONNECTION_TIME: Duration = Duration::from_secs(600);
-/// How many octets may wait unsent in the kernel. With few, it shows how fast a client reads.
-const UNSENT: u32 = 16 * 1024;
 /// The largest request in octets, and about how much of an answer waits for a slow client.
 const BUFFER: usize = 16 * 1024;
 /// How long a stopping server waits for open requests.
@@ -65,33 +67,41 @@ const ROUTES: [(&str, &str); 10] = [
     ("/metrics", "for Prometheus"),
     ("/-/healthy", "200 as long as the process runs"),
     ("/-/ready", "200 while it relays, 503 before and after"),
-    ("/-/reload", "POST: reads the configuration again, where [admin] reload allows it"),
+    (
+        "/-/reload",
+        "POST: reads the configuration again; over the control socket, or with [admin] reload",
+    ),
     ("/api/v1/status", "version, readiness, reload and confinement"),
     ("/api/v1/nets", "nets and nodes with their counters; ?nodes=false&net=NAME for less"),
     ("/api/v1/drop-reasons", "why datagrams are dropped, in plain words"),
-    ("/api/v1/flows?limit=1000", "open flows, at most 10000"),
+    ("/api/v1/flows?limit=1000", "open flows, at most 10000, and the use of passwords; ?net=NAME"),
     ("/api/v1/config", "the configuration in force, without passwords"),
 ];
 
 /// Answers requests until `shutdown` completes, then waits up to a second for the open ones. Without
 /// `reloader` there is no configuration file to reload.
 pub async fn serve(
-    listener: TcpListener,
+    listeners: Listeners,
     router: Arc<Router>,
     reloader: Option<Reloader>,
     sandbox: Sandbox,
     shutdown: impl Future<Output = ()>,
 ) {
     let routes = routes(router, reloader, sandbox);
+    let control_routes = routes.clone().layer(Extension(FromControl));
     let mut connections = Connections::default();
     let accepting = async {
         loop {
-            match listener.accept().await {
-                Ok((stream, from)) => {
-                    let routes = routes.clone();
-                    connections.add(from.ip(), async move {
+            match listeners.accept().await {
+                Ok(connection) => {
+                    let source = connection.source();
+                    let routes = match &connection {
+                        Connection::Tcp(..) => routes.clone(),
+                        Connection::Control(_) => control_routes.clone(),
+                    };
+                    connections.add(source, async move {
                         // Nobody needs to know that a client was too slow or went away.
-                        let _ = timeout(CONNECTION_TIME, answer(stream, routes)).await;
+                        let _ = timeout(CONNECTION_TIME, answer(connection, routes)).await;
                     });
                     // Lets connections that were cut close before the next one is accepted.
                     yield_now().await;
@@ -150,9 +160,15 @@ struct Shared {
     flow_lists: api::FlowLists,
 }
 
-async fn answer(stream: TcpStream, routes: axum::Router) -> hyper::Result<()> {
-    // If this fails, a slow client is cut a little early.
-    let _ = SockRef::from(&stream).set_tcp_notsent_lowat(UNSENT);
+async fn answer(connection: Connection, routes: axum::Router) -> hyper::Result<()> {
+    connection.keep_little_unsent();
+    match connection {
+        Connection::Tcp(stream, _) => answer_on(stream, routes).await,
+        Connection::Control(stream) => answer_on(stream, routes).await,
+    }
+}
+
+async fn answer_on(stream: impl AsyncRead + AsyncWrite, routes: axum::Router) -> hyper::Result<()> {
     let mut stream = TimeoutStream::new(stream);
     stream.set_write_timeout(Some(STILL_TIME));
     let stream = pin!(stream);
@@ -178,11 +194,15 @@ async fn ready(State(shared): State<Shared>) -> (StatusCode, &'static str) {
     }
 }
 
-async fn reload(State(shared): State<Shared>) -> Response {
+async fn reload(
+    State(shared): State<Shared>,
+    from_control: Option<Extension<FromControl>>,
+) -> Response {
     let active = shared.router.active_config();
     let allowed = active.config.admin.as_ref().is_some_and(|admin| admin.reload);
+    let allowed = allowed || from_control.is_some();
     let Some(reloader) = shared.reloader.filter(|_| allowed) else {
-        let message = "reload over HTTP is off; send SIGHUP, or set [admin] reload = true first\n";
+        let message = "reload over HTTP is off; use the control socket or SIGHUP, or set [admin] reload = true first\n";
         return (StatusCode::FORBIDDEN, message).into_response();
     };
     drop(active);

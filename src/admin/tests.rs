@@ -31,9 +31,9 @@ impl Server {
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
         let thread = thread::spawn(move || {
             runtime.block_on(async {
-                let listener = TcpListener::from_std(listener).unwrap();
+                let listeners = Listeners::from_std(Some(listener), None).unwrap();
                 let shutdown = async { _ = stopped.await };
-                serve(listener, router, None, Sandbox::off(), shutdown).await;
+                serve(listeners, router, None, Sandbox::off(), shutdown).await;
             });
         });
         Self { address, stop: Some(stop), thread: Some(thread) }
@@ -471,7 +471,11 @@ fn drop_reasons_are_explained() {
 #[test]
 fn flows_and_configuration_have_their_shape() {
     let server = Server::start(Router::idle(config(), 1));
-    assert_eq!(server.get("/api/v1/flows?limit=5").json(), json!({ "flows": [] }));
+    let flows = server.get("/api/v1/flows?limit=5&net=section-1").json();
+    let credential = |name| json!({ "net": "section-1", "credential": name, "accepted_requests": 0, "flows": 0 });
+    let credentials = [credential("service"), credential("team-b")];
+    assert_eq!(flows, json!({ "flows": [], "credentials": credentials, "complete": true }));
+    assert_eq!(server.get("/api/v1/flows?net=absent").status, 404);
     let config = server.get("/api/v1/config").json();
     assert_eq!(config["header"], "02000000");
     assert_eq!(config["nets"][0]["nodes"][1]["public_port"], 20033);

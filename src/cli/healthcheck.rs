@@ -2,26 +2,31 @@
 //! and no curl.
 
 use std::io::{Write, stdout};
+use std::path::PathBuf;
 use std::process::ExitCode;
 use std::time::Duration;
 
-use axum::http::{HeaderMap, Method, StatusCode};
+use axum::http::{HeaderMap, Method, StatusCode, Uri};
 
-use super::admin_server::ask;
+use super::admin_server::{Place, ask};
 use crate::harmless::harmless;
+
+/// What is asked where only a server is named.
+const READY: &str = "/-/ready";
 
 /// Ask a running relay whether it is ready: exit 0 if it is, otherwise 1 and a line that says why.
 #[derive(Debug, clap::Args)]
-#[command(after_help = "Example:  pnet-nat healthcheck --url http://127.0.0.1:9378/-/ready")]
+#[command(after_help = "Example:  pnet-nat healthcheck\n\
+    \x20         pnet-nat healthcheck --url http://127.0.0.1:9378/-/ready")]
 pub(super) struct Args {
-    /// The URL to ask; host and port are those of [admin] listen.
-    #[arg(
-        long,
-        env = "PNET_NAT_HEALTHCHECK_URL",
-        value_name = "URL",
-        default_value = "http://127.0.0.1:9378/-/ready"
-    )]
-    url: String,
+    /// The URL to ask, or unix:PATH of the relay's control socket [default: as --config says].
+    #[arg(long, env = "PNET_NAT_HEALTHCHECK_URL", value_name = "URL")]
+    url: Option<String>,
+
+    /// The relay's configuration file, whose [admin] says where it can be asked [default:
+    /// /etc/pnet-nat/pnet-nat.toml].
+    #[arg(short, long, value_name = "FILE", env = "PNET_NAT_CONFIG")]
+    config: Option<PathBuf>,
 
     /// How long to wait for the answer.
     #[arg(
@@ -37,15 +42,28 @@ pub(super) struct Args {
 /// Asks once.
 pub(super) fn run(args: Args) -> anyhow::Result<ExitCode> {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
-    let no_headers = HeaderMap::new();
-    let why = match runtime.block_on(ask(Method::GET, &args.url, &no_headers, args.timeout)) {
-        Ok((StatusCode::OK, _)) => return Ok(ExitCode::SUCCESS),
-        Ok((status, _)) => format!("answered {status}"),
-        Err(error) => harmless(&format!("{error:#}")),
+    let (url, why) = match Place::find(args.url.as_deref(), args.config.as_deref()) {
+        Ok((place, _)) => {
+            let path = if names_a_path(&place) { "" } else { READY };
+            let no_headers = HeaderMap::new();
+            let answer = ask(Method::GET, &place, path, &no_headers, args.timeout);
+            let why = match runtime.block_on(answer) {
+                Ok((StatusCode::OK, _)) => return Ok(ExitCode::SUCCESS),
+                Ok((status, _)) => format!("answered {status}"),
+                Err(error) => harmless(&format!("{error:#}")),
+            };
+            (format!("{}{path}: ", place.url()), why)
+        }
+        Err(error) => (String::new(), harmless(&format!("{error:#}"))),
     };
     // Nobody may read this; then the exit code is enough.
-    let _ = writeln!(stdout(), "not ready: {}: {why}", args.url);
+    let _ = writeln!(stdout(), "not ready: {url}{why}");
     Ok(ExitCode::FAILURE)
+}
+
+fn names_a_path(place: &Place) -> bool {
+    let Place::Http(url) = place else { return false };
+    url.parse().is_ok_and(|url: Uri| !matches!(url.path(), "" | "/"))
 }
 
 #[cfg(test)]
@@ -59,7 +77,7 @@ mod tests {
     /// Asks a server that answers one request with this status line.
     fn ask(status: &'static str) -> ExitCode {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
-        let url = format!("http://{}/-/ready", listener.local_addr().unwrap());
+        let url = format!("http://{}/", listener.local_addr().unwrap());
         let server = thread::spawn(move || {
             let (mut stream, _) = listener.accept().unwrap();
             let request = BufReader::new(&stream).lines().map_while(Result::ok);
@@ -68,7 +86,8 @@ mod tests {
             let headers = "content-length: 0\r\nconnection: close\r\nlocation: /\r\n";
             write!(stream, "HTTP/1.1 {status}\r\n{headers}\r\n").unwrap();
         });
-        let code = run(Args { url, timeout: Duration::from_secs(10) }).unwrap();
+        let code =
+            run(Args { url: Some(url), config: None, timeout: Duration::from_secs(10) }).unwrap();
         server.join().unwrap();
         code
     }
@@ -84,10 +103,11 @@ mod tests {
     #[test]
     fn a_server_that_is_silent_or_absent_is_not_ready() {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
-        let url = format!("http://{}/", listener.local_addr().unwrap());
+        let url = Some(format!("http://{}/", listener.local_addr().unwrap()));
         let timeout = Duration::from_millis(200);
-        assert_eq!(run(Args { url: url.clone(), timeout }).unwrap(), ExitCode::FAILURE);
+        let args = |url| Args { url, config: None, timeout };
+        assert_eq!(run(args(url.clone())).unwrap(), ExitCode::FAILURE);
         drop(listener);
-        assert_eq!(run(Args { url, timeout }).unwrap(), ExitCode::FAILURE);
+        assert_eq!(run(args(url)).unwrap(), ExitCode::FAILURE);
     }
 }

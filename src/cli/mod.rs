@@ -8,6 +8,7 @@ mod check;
 mod decode;
 mod demo;
 mod documentation;
+mod flows;
 mod healthcheck;
 mod inventory;
 mod node;
@@ -16,6 +17,7 @@ mod progress;
 mod reload;
 mod request;
 mod run;
+mod screen;
 mod signals;
 mod status;
 mod translate;
@@ -81,11 +83,15 @@ enum Command {
     Decode(decode::Args),
     Inventory(inventory::Args),
     Status(status::Args),
+    Flows(flows::Args),
     Reload(reload::Args),
     Healthcheck(healthcheck::Args),
     Completions(documentation::Completions),
     Man(documentation::Man),
 }
+
+/// The configuration file of the service that the package installs, and the default of all commands.
+const CONFIG: &str = "/etc/pnet-nat/pnet-nat.toml";
 
 /// Bad command line or configuration.
 const BAD_USE: u8 = 2;
@@ -121,6 +127,7 @@ pub fn main() -> ExitCode {
         Command::Decode(args) => decode::run(args),
         Command::Inventory(args) => inventory::run(&args),
         Command::Status(args) => status::run(args),
+        Command::Flows(args) => flows::run(&args),
         Command::Reload(args) => reload::run(&args),
         Command::Healthcheck(args) => healthcheck::run(args),
         Command::Completions(args) => documentation::completions(&args),

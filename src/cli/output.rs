@@ -135,6 +135,15 @@ pub(super) fn duration(seconds: Option<f64>) -> String {
     format!("{figure:.decimals$} {unit}")
 }
 
+/// A time rounded to its largest unit.
+pub(super) fn age(seconds: f64) -> String {
+    let unit = [("d", 86_400.0), ("h", 3_600.0), ("min", 60.0)];
+    match unit.into_iter().find(|(_, length)| seconds >= 2.0 * length) {
+        Some((name, length)) => format!("{:.0} {name}", (seconds / length).floor()),
+        None => format!("{seconds:.0} s"),
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

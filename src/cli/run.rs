@@ -2,7 +2,8 @@
 
 use std::future;
 use std::io;
-use std::net::TcpListener as StdListener;
+use std::net::TcpListener;
+use std::os::unix::net::UnixListener;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Arc;
@@ -10,14 +11,14 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use anyhow::Context;
-use tokio::net::TcpListener;
 use tokio::runtime::Runtime;
 use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio::sync::Notify;
 
 use super::signals::{Signals, let_hangup_through};
-use super::{BAD_USE, TRY_AGAIN, complain, load, told};
-use crate::admin;
+use super::{BAD_USE, CONFIG, TRY_AGAIN, complain, load, told};
+use crate::admin::control::{self, ControlError, ControlFile};
+use crate::admin::{self, Listeners};
 use crate::config::{self, Admin, Config, Warning};
 use crate::datapath::{Bound, Router, StartError};
 use crate::listen::{self, ListenError};
@@ -42,7 +43,7 @@ const ADDRESS_LOOK: Duration = Duration::from_millis(100);
 #[command(after_help = "Example:  pnet-nat run --config /etc/pnet-nat/pnet-nat.toml")]
 pub(super) struct Args {
     /// The configuration file; config/pnet-nat.toml explains every key.
-    #[arg(long, value_name = "FILE", env = "PNET_NAT_CONFIG")]
+    #[arg(short, long, value_name = "FILE", env = "PNET_NAT_CONFIG", default_value = CONFIG)]
     config: PathBuf,
     /// Run without confinement: for debugging, and to find out whether the confinement causes a fault.
     #[arg(
@@ -72,6 +73,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<ExitCode> {
         tracing::warn!("{warning}");
     }
     let files = config.files.clone();
+    let control = config.control.clone().or_else(control::of_the_service);
     let (router, admin) = match bind(config) {
         Ok(bound) => bound,
         Err(error) => return Ok(refuse(error)),
@@ -79,6 +81,11 @@ pub(super) fn run(args: &Args) -> anyhow::Result<ExitCode> {
     if let Some(user) = user {
         user.become_for_good()?;
     }
+    // Made now, so that it belongs to this user, who may then remove it.
+    let control = match control.as_deref().map(ControlFile::bind).transpose() {
+        Ok(control) => control,
+        Err(error) => return Ok(refuse(error)),
+    };
     // Every thread inherits the confinement, since this is still the only one.
     let sandbox = prepared.map_or_else(Sandbox::off, |prepared| prepared.confine(&files));
     sandbox.announce();
@@ -92,7 +99,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<ExitCode> {
         Ok(started) => started,
         Err(error) => return Ok(refuse(error)),
     };
-    relay(runtime, hangup, router, admin, reloader, sandbox)
+    relay(runtime, hangup, router, Sockets { admin, control }, reloader, sandbox)
 }
 
 /// The configuration, its warnings, and the user to become, if there is one. Then the configuration is read
@@ -121,8 +128,9 @@ fn may_pass(error: &anyhow::Error) -> bool {
         let start = cause.downcast_ref::<StartError>().map(StartError::may_pass);
         let listen = || cause.downcast_ref::<ListenError>().map(ListenError::may_pass);
         let thread = || cause.is::<ThreadError>().then_some(true);
+        let control = || cause.downcast_ref::<ControlError>().map(ControlError::may_pass);
         let system = || cause.downcast_ref::<io::Error>().map(listen::may_pass);
-        start.or_else(listen).or_else(thread).or_else(system).unwrap_or(false)
+        start.or_else(listen).or_else(control).or_else(thread).or_else(system).unwrap_or(false)
     })
 }
 
@@ -131,7 +139,7 @@ fn may_pass(error: &anyhow::Error) -> bool {
     clippy::disallowed_methods,
     reason = "nothing reports when an address is no longer tentative"
 )]
-fn bind(config: Config) -> anyhow::Result<(Bound, Option<StdListener>)> {
+fn bind(config: Config) -> anyhow::Result<(Bound, Option<TcpListener>)> {
     let end = Instant::now() + ADDRESS_TIME;
     let mut told = false;
     loop {
@@ -153,18 +161,24 @@ fn passes_soon(error: &anyhow::Error) -> bool {
     start || error.downcast_ref::<ListenError>().is_some_and(ListenError::passes_soon)
 }
 
-fn try_to_bind(config: Config) -> anyhow::Result<(Bound, Option<StdListener>)> {
+fn try_to_bind(config: Config) -> anyhow::Result<(Bound, Option<TcpListener>)> {
     let listen = |admin: &Admin| listen::tcp(admin.listen, "[admin] listen");
     let admin = config.admin.as_ref().map(listen).transpose();
     let admin = admin.context("the admin server cannot start; see [admin] listen")?;
     Ok((Router::bind(config)?, admin))
 }
 
+/// What the admin server listens on.
+struct Sockets {
+    admin: Option<TcpListener>,
+    control: Option<(UnixListener, ControlFile)>,
+}
+
 fn relay(
     runtime: Runtime,
     mut hangup: Signal,
     router: Arc<Router>,
-    admin: Option<StdListener>,
+    Sockets { admin, control }: Sockets,
     reloader: Reloader,
     sandbox: Sandbox,
 ) -> anyhow::Result<ExitCode> {
@@ -172,19 +186,18 @@ fn relay(
         let mut signals = Signals::new()?;
         let mut noise = DropReport::new(Arc::clone(&router));
         let stopped = Arc::new(Notify::new());
-        let serving = match admin {
-            Some(listener) => {
-                let listener = TcpListener::from_std(listener)?;
-                let (router, reloader) = (Arc::clone(&router), reloader.clone());
-                let stopped = Arc::clone(&stopped);
-                Some(tokio::spawn(async move {
-                    let reloader = Some(reloader);
-                    admin::serve(listener, router, reloader, sandbox, stopped.notified()).await;
-                }))
-            }
-            None => None,
-        };
-        announce(&router);
+        let (control, control_file) = control.unzip();
+        let serving = (admin.is_some() || control.is_some()).then(|| {
+            let listeners = Listeners::from_std(admin, control)?;
+            let (router, reloader) = (Arc::clone(&router), reloader.clone());
+            let stopped = Arc::clone(&stopped);
+            io::Result::Ok(tokio::spawn(async move {
+                let reloader = Some(reloader);
+                admin::serve(listeners, router, reloader, sandbox, stopped.notified()).await;
+            }))
+        });
+        let serving = serving.transpose()?;
+        announce(&router, control_file.as_ref());
         service::ready(&router);
         let reloading = async {
             // Any number of signals during the start or a reload cause one more reload.
@@ -218,7 +231,7 @@ fn relay(
     })
 }
 
-fn announce(router: &Router) {
+fn announce(router: &Router, control: Option<&ControlFile>) {
     let active = router.active_config();
     let config = &active.config;
     tracing::info!(
@@ -228,6 +241,7 @@ fn announce(router: &Router) {
         public_ports = config.table.mappings().len(),
         workers = active.counters.len(),
         admin = config.admin.as_ref().map(|admin| tracing::field::display(admin.listen)),
+        control = control.map(|control| tracing::field::display(control.path().display())),
         "relaying"
     );
 }

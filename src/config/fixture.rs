@@ -49,6 +49,7 @@ pub(crate) fn config() -> Config {
             metrics_without_token: false,
             reload: false,
         }),
+        control: None,
         files: Vec::new(),
     }
 }

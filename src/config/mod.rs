@@ -124,7 +124,7 @@ fn read(mut root: Section<'_>, host: &dyn Host, in_force: Option<&Table>) -> Opt
     let datapath = sections::datapath(root.key("datapath", "").section());
     let log = sections::log(root.key("log", "").section());
     let runtime = sections::runtime(root.key("runtime", "").section());
-    let admin = sections::admin(root.key("admin", "").section());
+    let (admin, control) = sections::admin(root.key("admin", "").section());
     root.finish();
 
     let is_empty = |nets: &Option<Vec<Section<'_>>>| nets.as_ref().is_some_and(Vec::is_empty);
@@ -150,7 +150,7 @@ fn read(mut root: Section<'_>, host: &dyn Host, in_force: Option<&Table>) -> Opt
     report.is_sound().then(|| {
         let table = Arc::new(table(header, drafts));
         let files = [vec![report.file.to_owned()], report.secrets.take()].concat();
-        Config { listen, table, limits, datapath, log, runtime, admin, files }
+        Config { listen, table, limits, datapath, log, runtime, admin, control, files }
     })
 }
 

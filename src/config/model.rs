@@ -30,6 +30,9 @@ pub struct Config {
     pub runtime: Runtime,
     /// The admin server; none when it is disabled.
     pub admin: Option<Admin>,
+    /// Where the control socket is, also when the admin server is disabled; none: where the service
+    /// manager has a folder for it, if it has one.
+    pub control: Option<PathBuf>,
     /// The files that it was read from: the configuration file, and the files with passwords and tokens.
     pub files: Vec<PathBuf>,
 }

@@ -23,13 +23,15 @@ pub struct AdminPlace {
     pub enabled: bool,
     /// Where it listens.
     pub listen: SocketAddr,
+    /// The control socket, relative to the configuration.
+    pub control: Option<PathBuf>,
     /// The file with its token, relative to the configuration.
     pub token_file: Option<PathBuf>,
 }
 
 impl Default for AdminPlace {
     fn default() -> Self {
-        Self { enabled: true, listen: ADMIN_LISTEN, token_file: None }
+        Self { enabled: true, listen: ADMIN_LISTEN, control: None, token_file: None }
     }
 }
 
@@ -44,6 +46,7 @@ pub fn admin_place(text: &str) -> AdminPlace {
     AdminPlace {
         enabled: value("enabled").and_then(|enabled| enabled.as_bool()).unwrap_or(usual.enabled),
         listen: listen.unwrap_or(usual.listen),
+        control: text("control").map(PathBuf::from),
         token_file: text("token_file").map(PathBuf::from),
     }
 }

@@ -16,6 +16,8 @@ pub fn keep_settled(old: &Config, new: &mut Config) -> Vec<NotInForce> {
     keep("[runtime] user", was.user != is.user);
     keep("[runtime] workers", was.workers != is.workers);
     (is.user, is.workers) = (was.user.clone(), was.workers);
+    keep("[admin] control", old.control != new.control);
+    new.control.clone_from(&old.control);
     keep("[admin] enabled", old.admin.is_some() != new.admin.is_some());
     match (&old.admin, &mut new.admin) {
         (Some(was), Some(is)) => {
@@ -47,12 +49,17 @@ mod tests {
         new.runtime.workers = NonZeroUsize::new(7);
         new.datapath.receive_buffer += 1;
         new.limits.max_flows += 1;
+        new.control = Some("control.sock".into());
         let admin = new.admin.as_mut().unwrap();
         admin.listen.set_port(1);
         admin.reload = !admin.reload;
         let kept = keep_settled(&old, &mut new);
         let kept: Vec<_> = kept.iter().map(|kept| kept.what.as_str()).collect();
-        assert_eq!(kept, ["[runtime] user", "[runtime] workers", "[admin] listen"]);
+        assert_eq!(
+            kept,
+            ["[runtime] user", "[runtime] workers", "[admin] control", "[admin] listen"]
+        );
+        assert_eq!(new.control, None);
         let (was, is) = (old.admin.as_ref().unwrap(), new.admin.as_ref().unwrap());
         assert_eq!((was.listen, !was.reload), (is.listen, is.reload));
         assert_eq!(new.runtime.workers, old.runtime.workers);

@@ -3,6 +3,7 @@
 use std::collections::{HashMap, HashSet};
 use std::net::IpAddr;
 use std::num::NonZeroUsize;
+use std::path::PathBuf;
 use std::time::Duration;
 
 use crate::nat::Limits;
@@ -10,10 +11,13 @@ use crate::pnet::wire::Header;
 
 use super::model::{Admin, Datapath, Log, Runtime};
 use super::toml_table::{Entry, LONGEST, Section};
-use super::{address, defaults, net, token};
+use super::{address, defaults, net, secret, token};
 
 /// A worker that would look for datagrams longer than this had better sleep.
 const MOST_BUSY_POLL: Duration = Duration::from_millis(1);
+
+/// The longest path that the kernel takes for a Unix socket.
+const MOST_SOCKET_OCTETS: usize = 107;
 
 /// `[public]`: the addresses to listen on, each with its place in the file.
 pub(super) fn public(mut section: Section<'_>) -> Vec<(Entry<'_>, IpAddr)> {
@@ -114,8 +118,8 @@ pub(super) fn runtime(mut section: Section<'_>) -> Runtime {
     }
 }
 
-/// `[admin]`: none when it is switched off.
-pub(super) fn admin(mut section: Section<'_>) -> Option<Admin> {
+/// `[admin]`: the server, unless it is switched off, and the path of the control socket.
+pub(super) fn admin(mut section: Section<'_>) -> (Option<Admin>, Option<PathBuf>) {
     let enabled = section.key("enabled", "true").boolean().unwrap_or(true);
     let listen_entry = section.key("listen", "\"127.0.0.1:9378\"");
     let listen = address::endpoint(&listen_entry);
@@ -124,6 +128,7 @@ pub(super) fn admin(mut section: Section<'_>) -> Option<Admin> {
     let token = token::token_file(&token_file);
     let open_metrics = section.key("metrics_without_token", "true");
     let reload = section.key("reload", "true");
+    let control = control_socket(&section.key("control", "\"/run/pnet-nat/control.sock\""));
     section.finish();
     let beyond = !listen.ip().to_canonical().is_loopback();
     if enabled && beyond && !token_file.is_there() {
@@ -136,5 +141,23 @@ pub(super) fn admin(mut section: Section<'_>) -> Option<Admin> {
     }
     let metrics_without_token = open_metrics.boolean().unwrap_or(false);
     let reload = reload.boolean().unwrap_or(false);
-    enabled.then_some(Admin { listen, token, metrics_without_token, reload })
+    let admin = enabled.then_some(Admin { listen, token, metrics_without_token, reload });
+    (admin, control)
+}
+
+/// A path relative to the folder of the configuration.
+fn control_socket(entry: &Entry<'_>) -> Option<PathBuf> {
+    if entry.is_absent() {
+        return None;
+    }
+    let path = secret::path_of(entry)?;
+    let octets = path.as_os_str().len();
+    if octets > MOST_SOCKET_OCTETS || path.file_name().is_none() {
+        entry.fault(
+            format!("{path:?} cannot be the path of a Unix socket"),
+            format!("name a file that the relay makes, in at most {MOST_SOCKET_OCTETS} octets"),
+        );
+        return None;
+    }
+    Some(path)
 }

@@ -2,7 +2,8 @@
 
 use std::time::Instant;
 
-use crate::config::NotInForce;
+use crate::config::{Changes, NotInForce};
+use crate::datapath::Reloaded;
 
 /// How the last reload went. Before the first reload, it stands for the start.
 #[derive(Clone, Debug)]
@@ -15,6 +16,10 @@ pub struct LastReload {
     pub error: Option<String>,
     /// The faults of the configuration, one per line, where they are the reason.
     pub faults: Vec<String>,
+    /// What it changed; nothing when it failed.
+    pub changes: Changes,
+    /// Flows that it closed because the new configuration has no place for them.
+    pub flows_closed: usize,
     /// Settings of the configuration in force that need a restart.
     pub(in crate::datapath) settled: Vec<NotInForce>,
     /// Public sockets of the configuration in force that could not be opened yet.
@@ -30,6 +35,8 @@ impl Default for LastReload {
             number: 0,
             error: None,
             faults: Vec::new(),
+            changes: Changes::default(),
+            flows_closed: 0,
             settled: Vec::new(),
             missing: Vec::new(),
             success_at: Instant::now(),
@@ -48,16 +55,16 @@ impl LastReload {
         self.settled.iter().chain(&self.missing)
     }
 
-    /// Notes how the reload that has begun ended. `failed` tells why it changed nothing; without
-    /// it, the configuration is in force.
-    pub(in crate::datapath) fn ended(&mut self, failed: Option<(String, Vec<String>)>) {
-        self.number = self.begun;
-        match failed {
-            Some((error, faults)) => (self.error, self.faults) = (Some(error), faults),
-            None => {
-                (self.error, self.faults) = (None, Vec::new());
-                self.success_at = Instant::now();
-            }
-        }
+    /// Notes that the reload that has begun changed nothing, and why.
+    pub(in crate::datapath) fn failed(&mut self, error: String, faults: Vec<String>) {
+        (self.number, self.error, self.faults) = (self.begun, Some(error), faults);
+        (self.changes, self.flows_closed) = (Changes::default(), 0);
+    }
+
+    /// Notes that the configuration of the reload that has begun is in force.
+    pub(in crate::datapath) fn succeeded(&mut self, reloaded: &Reloaded) {
+        (self.number, self.error, self.faults) = (self.begun, None, Vec::new());
+        (self.changes, self.flows_closed) = (reloaded.changes.clone(), reloaded.flows_closed);
+        self.success_at = Instant::now();
     }
 }

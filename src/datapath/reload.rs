@@ -55,15 +55,19 @@ impl Router {
     /// Notes that the reload changed nothing. `error` tells why; `faults` are the faults of its
     /// configuration, one per line.
     pub fn refuse_reload(&self, error: String, faults: Vec<String>) {
-        Arc::make_mut(&mut lock(&self.last_reload)).ended(Some((error, faults)));
+        Arc::make_mut(&mut lock(&self.last_reload)).failed(error, faults);
     }
 
     /// Brings a configuration into force, as far as that is possible. Blocks until every worker has
     /// gone over.
     pub fn reload(&self, config: Config) -> Result<Reloaded, Stopping> {
         let outcome = self.replace(config);
-        let failed = outcome.as_ref().err().map(|error| (error.to_string(), Vec::new()));
-        Arc::make_mut(&mut lock(&self.last_reload)).ended(failed);
+        let mut last = lock(&self.last_reload);
+        let last = Arc::make_mut(&mut last);
+        match &outcome {
+            Ok(reloaded) => last.succeeded(reloaded),
+            Err(error) => last.failed(error.to_string(), Vec::new()),
+        }
         outcome
     }
 

@@ -40,6 +40,7 @@ pub(super) struct Flow {
     /// When the last datagram passed, in either direction (RFC 4787 REQ-6).
     pub last_used: Nanos,
     pub answers: Answers,
+    pub traffic: FlowTraffic,
     /// What its protocol has to remember of it.
     pub conversation: Conversation,
     /// The number of the reload whose rules it stands under.
@@ -67,6 +68,17 @@ pub(super) struct Answers {
     older: u32,
 }
 
+/// What has passed through a flow.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct FlowTraffic {
+    /// Requests that were accepted.
+    pub requests: u64,
+    /// Datagrams of the server that were passed on.
+    pub responses: u64,
+    /// The UDP payload of both, as the client sends and gets it.
+    pub octets: u64,
+}
+
 /// What logs and the API show of a flow.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct FlowRecord {
@@ -84,6 +96,22 @@ pub struct FlowRecord {
     pub age: Duration,
     /// How long ago the last datagram passed.
     pub idle: Duration,
+    /// What has passed through it.
+    pub traffic: FlowTraffic,
+}
+
+impl FlowTraffic {
+    #[inline]
+    pub(super) fn request(&mut self, octets: usize) {
+        self.requests += 1;
+        self.octets += octets as u64;
+    }
+
+    #[inline]
+    pub(super) fn response(&mut self, octets: usize) {
+        self.responses += 1;
+        self.octets += octets as u64;
+    }
 }
 
 impl Answers {
@@ -163,6 +191,7 @@ impl Flow {
             upstream_port: self.upstream_port,
             age: Duration::from_nanos(now - self.opened),
             idle: Duration::from_nanos(now - self.last_used),
+            traffic: self.traffic,
         }
     }
 }

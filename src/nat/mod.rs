@@ -40,7 +40,7 @@ pub use core::{Arrival, Core, Succession, ToClient, ToServer};
 pub use counter::{Counter, Writer};
 pub use counters::{Counters, DirectionCounters, NetCounters, NodeCounters};
 pub use effects::Effects;
-pub use flow::FlowRecord;
+pub use flow::{FlowRecord, FlowTraffic};
 pub use gcra::RequestRate;
 pub use ids::{FlowId, ListenerId, MappingId, NetId, UpstreamId};
 pub use last_sender::LastSender;

@@ -13,6 +13,7 @@ mkdir -p "$folder"/{bin,home,etc,lib,units,run}
 cp -a /etc/. "$folder/etc"
 mount --bind "$folder/etc" /etc
 mount --bind "$folder/lib" /var/lib
+mount -t tmpfs tmpfs /run
 mkdir -p /lib/systemd/system
 cp deploy/systemd/pnet-nat.service "$folder/units"
 mount --bind "$folder/units" /lib/systemd/system
@@ -33,10 +34,11 @@ stop() { # and wait until its ports are free
     [ ! -e "$run.pid" ] || { kill "$(cat "$run.pid")" && tail --pid="$(cat "$run.pid")" -f /dev/null; }
 }
 start() {
+    mkdir -p "/run/$unit" # RuntimeDirectory
     for _ in $(seq 15); do
         : >"$run.log"
         # shellcheck disable=SC2046
-        setsid $(property ExecStart) >"$run.log" 2>&1 </dev/null &
+        RUNTIME_DIRECTORY=/run/$unit setsid $(property ExecStart) >"$run.log" 2>&1 </dev/null &
         echo $! >"$run.pid"
         for _ in $(seq 100); do
             ! grep -q '"message":"relaying"' "$run.log" || return 0
@@ -53,7 +55,8 @@ daemon-reload) ;;
 enable | start) start ;;
 stop) stop ;;
 restart) stop && start ;;
-reload) $(property ExecReload | sed "s/\$MAINPID/$(cat "$run.pid")/") ;;
+# shellcheck disable=SC2046
+reload) RUNTIME_DIRECTORY=/run/$unit $(property ExecReload) ;;
 *) echo "systemctl $verb: not known here" >&2 && exit 1 ;;
 esac
 END

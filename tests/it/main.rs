@@ -14,6 +14,7 @@ mod command_line;
 mod commands;
 mod confinement;
 mod container;
+mod control;
 mod decode;
 mod decode_profinet;
 mod drops;

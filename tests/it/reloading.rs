@@ -405,7 +405,7 @@ fn the_command_tells_the_verdict() {
     let by_signal = ["--pid", &pid, "--config", file];
     let (code, stdout, stderr) = reload(&by_signal);
     assert_eq!(code, Some(0), "{stdout}{stderr}");
-    assert_eq!(stdout, "all of the configuration is in force\n");
+    assert_eq!(stdout, "nothing changed\nall of the configuration is in force\n");
 
     for (wrong, expected) in [
         (sound.replace("\"1-4\", 33", "\"1-500\""), "1-500"),

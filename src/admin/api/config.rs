@@ -1,6 +1,7 @@
 //! `/api/v1/config`: the configuration in force, without passwords.
 
 use std::net::{IpAddr, SocketAddr};
+use std::path::Path;
 
 use axum::Json;
 use axum::extract::State;
@@ -44,6 +45,8 @@ struct ConfigInForce<'a> {
     metrics_without_token: bool,
     /// Whether `POST /-/reload` is enabled.
     admin_reload: bool,
+    /// Null: where the service manager has a folder for it, if it has one.
+    control: Option<&'a Path>,
 }
 
 #[derive(Serialize)]
@@ -55,7 +58,8 @@ struct NetConfig<'a> {
 
 impl<'a> ConfigInForce<'a> {
     fn of(config: &'a Config) -> Self {
-        let Config { listen, table, limits, datapath, log, runtime, admin, files: _ } = config;
+        let Config { listen, table, limits, datapath, log, runtime, admin, control, files: _ } =
+            config;
         let nets = table.net_ids().map(|id| NetConfig {
             rules: NetRules::of(table.net(id)),
             nodes: table.mappings_of(id).map(|m| Element::of(table.mapping(m))).collect(),
@@ -79,6 +83,7 @@ impl<'a> ConfigInForce<'a> {
             admin_has_token: admin.as_ref().is_some_and(|admin| admin.token.is_some()),
             metrics_without_token: admin.as_ref().is_some_and(|a| a.metrics_without_token),
             admin_reload: admin.as_ref().is_some_and(|admin| admin.reload),
+            control: control.as_deref(),
         }
     }
 }

@@ -1,6 +1,6 @@
 //! `/api/v1/flows`: the open flows.
 
-use std::collections::VecDeque;
+use std::collections::{HashMap, VecDeque};
 use std::iter;
 use std::net::{IpAddr, SocketAddr};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
@@ -12,9 +12,10 @@ use serde::ser::Error as _;
 use serde::{Deserialize, Serialize};
 
 use super::config::Element;
-use super::json_list;
+use super::json_list_and;
 use crate::admin::Shared;
-use crate::nat::{FlowRecord, Table};
+use crate::datapath::ActiveConfig;
+use crate::nat::{FlowRecord, FlowTraffic, Net, Table};
 
 const DEFAULT_FLOWS: usize = 1000;
 /// A worker makes its list between two datagrams, so the list must be short.
@@ -24,9 +25,11 @@ const MOST_FLOWS: usize = 10_000;
 #[derive(Deserialize)]
 pub(in crate::admin) struct FlowsQuery {
     limit: Option<usize>,
+    /// Only flows of the net with this name.
+    net: Option<String>,
 }
 
-/// `GET /api/v1/flows?limit=`
+/// `GET /api/v1/flows?limit=&net=`
 pub(in crate::admin) async fn flows(
     State(shared): State<Shared>,
     Query(query): Query<FlowsQuery>,
@@ -36,16 +39,88 @@ pub(in crate::admin) async fn flows(
         let message = format!("limit is at most {MOST_FLOWS}\n");
         return (StatusCode::BAD_REQUEST, message).into_response();
     }
+    let active = shared.router.active_config();
+    let is_asked_for = |net: &Net| query.net.as_ref().is_none_or(|name| net.name == *name);
+    if !active.config.table.nets().iter().any(is_asked_for) {
+        return (StatusCode::NOT_FOUND, "no net has this name\n").into_response();
+    }
+    // A worker would look for a net among all of its flows; so it lists those of all nets.
+    let listed = if query.net.is_some() { MOST_FLOWS } else { limit };
     let asking = shared.flow_lists.asking.lock().await;
-    let Some(flows) = shared.router.flows(limit).await else {
+    let Some(lists) = shared.router.flows(listed).await else {
         let message = "a worker does not answer\n";
         return (StatusCode::SERVICE_UNAVAILABLE, message).into_response();
     };
     drop(asking);
-    let flows = flows.into_iter().flat_map(|(table, flows)| {
-        flows.into_iter().map(move |flow| serde_json::to_string(&Flow::of(&table, &flow)))
+    let has_all = lists.iter().map(|(_, flows)| flows.len()).sum::<usize>() < listed;
+    let flows = lists
+        .into_iter()
+        .flat_map(|(table, flows)| flows.into_iter().map(move |flow| (Arc::clone(&table), flow)));
+    let mut flows: Vec<_> =
+        flows.filter(|(table, flow)| is_asked_for(net_of(table, flow))).collect();
+    let complete = has_all && flows.len() <= limit;
+    flows.truncate(limit);
+    let credentials = credentials(&active, &flows, is_asked_for);
+    let members = serde_json::to_string(&credentials)
+        .map(|credentials| format!(",\n\"credentials\":{credentials},\"complete\":{complete}"));
+    let Ok(members) = members else {
+        return StatusCode::INTERNAL_SERVER_ERROR.into_response(); // names are text
+    };
+    let flows =
+        flows.into_iter().map(|(table, flow)| serde_json::to_string(&Flow::of(&table, &flow)));
+    json_list_and("flows", shared.flow_lists.keep(Box::new(flows)), &members, &shared.turn)
+}
+
+/// How much a password is used.
+#[derive(Serialize)]
+struct CredentialUse<'a> {
+    net: &'a str,
+    credential: &'a str,
+    /// Since the start.
+    accepted_requests: u64,
+    /// Listed flows whose latest request carried it.
+    flows: u64,
+}
+
+fn credentials<'a>(
+    active: &'a ActiveConfig,
+    flows: &[(Arc<Table>, FlowRecord)],
+    is_asked_for: impl Fn(&Net) -> bool,
+) -> Vec<CredentialUse<'a>> {
+    let table = &active.config.table;
+    let mut used = HashMap::new();
+    for (table, flow) in flows {
+        let net = net_of(table, flow);
+        if let Some(credential) = credential_of(net, flow) {
+            *used.entry((net.name.as_str(), credential)).or_insert(0) += 1;
+        }
+    }
+    let credentials = table.net_ids().filter(|&id| is_asked_for(table.net(id))).flat_map(|id| {
+        let net = table.net(id);
+        let accepted = move |index: usize| {
+            active.counters.iter().map(|worker| worker.accepted(id)[index].get()).sum()
+        };
+        net.credentials.iter().enumerate().map(move |(index, credential)| {
+            (net.name.as_str(), credential.name.as_str(), accepted(index))
+        })
     });
-    json_list("flows", shared.flow_lists.keep(Box::new(flows)), &shared.turn)
+    let of = |(net, credential, accepted_requests)| CredentialUse {
+        net,
+        credential,
+        accepted_requests,
+        flows: used.get(&(net, credential)).copied().unwrap_or_default(),
+    };
+    credentials.map(of).collect()
+}
+
+fn net_of<'a>(table: &'a Table, flow: &FlowRecord) -> &'a Net {
+    table.net(table.mapping(flow.mapping).net)
+}
+
+/// The name of the credential of the latest request.
+fn credential_of<'a>(net: &'a Net, flow: &FlowRecord) -> Option<&'a str> {
+    let credential = flow.credential.and_then(|index| net.credentials.get(index));
+    credential.map(|credential| credential.name.as_str())
 }
 
 /// A list of flows is large, and the workers are woken to make it. So only one is made at a time, and
@@ -104,22 +179,31 @@ struct Flow<'a> {
     upstream_port: u16,
     age_seconds: f64,
     idle_seconds: f64,
+    /// Requests that were accepted.
+    requests: u64,
+    /// Datagrams of the server that were passed on.
+    responses: u64,
+    /// The UDP payload of both.
+    octets: u64,
 }
 
 impl<'a> Flow<'a> {
     fn of(table: &'a Table, flow: &FlowRecord) -> Self {
         let mapping = table.mapping(flow.mapping);
         let net = table.net(mapping.net);
-        let credential = flow.credential.and_then(|index| net.credentials.get(index));
+        let FlowTraffic { requests, responses, octets } = flow.traffic;
         Self {
             net: &net.name,
             element: Element::of(mapping),
             client: flow.client,
             public_address: flow.public_address,
-            credential: credential.map(|credential| credential.name.as_str()),
+            credential: credential_of(net, flow),
             upstream_port: flow.upstream_port,
             age_seconds: flow.age.as_secs_f64(),
             idle_seconds: flow.idle.as_secs_f64(),
+            requests,
+            responses,
+            octets,
         }
     }
 }
@@ -144,6 +228,7 @@ mod tests {
             upstream_port: 20999,
             age: Duration::from_millis(61_500),
             idle: Duration::from_millis(250),
+            traffic: FlowTraffic { requests: 7, responses: 6, octets: 400 },
         };
         assert_eq!(
             serde_json::to_value(Flow::of(&table, &record)).unwrap(),
@@ -152,6 +237,7 @@ mod tests {
                 "server": "172.17.17.33:34379", "client": "198.51.100.9:50000",
                 "public_address": "203.0.113.1", "credential": "team-b", "upstream_port": 20999,
                 "age_seconds": 61.5, "idle_seconds": 0.25,
+                "requests": 7, "responses": 6, "octets": 400,
             })
         );
         let without = FlowRecord { credential: None, ..record };

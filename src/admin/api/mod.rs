@@ -29,11 +29,21 @@ fn json_list(
     items: impl Iterator<Item = serde_json::Result<String>> + Send + 'static,
     turn: &Turn,
 ) -> Response {
+    json_list_and(name, items, "", turn)
+}
+
+/// The same with further members of the object behind the list, each after a comma.
+fn json_list_and(
+    name: &str,
+    items: impl Iterator<Item = serde_json::Result<String>> + Send + 'static,
+    members: &str,
+    turn: &Turn,
+) -> Response {
     let separators = iter::once("\n").chain(iter::repeat(",\n"));
     let items = separators.zip(items);
     let items = items.map(|(separator, item)| item.map(|item| separator.to_owned() + &item));
     let chunks = iter::once(Ok(format!("{{\"{name}\":[")))
         .chain(items)
-        .chain(iter::once(Ok("\n]}\n".to_owned())));
+        .chain(iter::once(Ok(format!("\n]{members}}}\n"))));
     ([(CONTENT_TYPE, "application/json")], turn.body(chunks)).into_response()
 }

@@ -10,7 +10,7 @@ use serde::Serialize;
 use super::traffic::DirectionState;
 use crate::COMMIT;
 use crate::admin::Shared;
-use crate::config::{Config, NotInForce};
+use crate::config::{Changes, Config, NotInForce};
 use crate::datapath::LastReload;
 use crate::nat::{Direction, RESPONSE_BUCKETS, SourceSketch};
 use crate::observe::totals::{self, NodeTotals};
@@ -61,6 +61,10 @@ struct ReloadState<'a> {
     error: Option<&'a str>,
     /// The faults of the configuration that was read.
     faults: &'a [String],
+    /// What it changed; nothing when it failed.
+    changes: &'a Changes,
+    /// Flows that it closed because the new configuration has no place for them.
+    flows_closed: usize,
     /// Parts of the configuration that are not in force.
     not_in_force: Vec<&'a NotInForce>,
 }
@@ -74,6 +78,8 @@ impl<'a> ReloadState<'a> {
             number: last.number,
             error: last.error.as_deref(),
             faults: &last.faults,
+            changes: &last.changes,
+            flows_closed: last.flows_closed,
             not_in_force: last.not_in_force().collect(),
         }
     }

@@ -14,7 +14,7 @@ use comfy_table::Table;
 use ipnet::{IpNet, Ipv4Net};
 
 use super::output::{out, plain_table};
-use super::{BAD_USE, complain, load, told};
+use super::{BAD_USE, CONFIG, complain, load, told};
 use crate::config::{self, Config, Warning};
 use crate::nat::{Mapping, Net, NetKind};
 use crate::sandbox::{self, User, UserError};
@@ -24,7 +24,7 @@ use crate::sandbox::{self, User, UserError};
 #[command(after_help = "Example:  pnet-nat check --config /etc/pnet-nat/pnet-nat.toml")]
 pub(super) struct Args {
     /// The configuration file; config/pnet-nat.toml explains every key.
-    #[arg(long, value_name = "FILE", env = "PNET_NAT_CONFIG")]
+    #[arg(short, long, value_name = "FILE", env = "PNET_NAT_CONFIG", default_value = CONFIG)]
     config: PathBuf,
     /// Show one line for each node, instead of one for each run of consecutive nodes.
     #[arg(long, env = "PNET_NAT_FULL", value_parser = BoolishValueParser::new())]

@@ -78,7 +78,7 @@ pub(super) struct Args {
 
     /// A configuration of the relay: its public ports, the ports of its servers and its header are taken
     /// from there, and the summary has the names of its nets.
-    #[arg(long, value_name = "FILE", env = "PNET_NAT_CONFIG")]
+    #[arg(short, long, value_name = "FILE", env = "PNET_NAT_CONFIG")]
     config: Option<PathBuf>,
 
     /// The four octets that every datagram begins with [default: that of --config, otherwise 02000000].

@@ -17,11 +17,10 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use anyhow::Context;
-use tokio::net::TcpListener;
 use tokio::sync::oneshot;
 
 use super::signals::Signals;
-use crate::admin;
+use crate::admin::{self, Listeners};
 use crate::config::AdminPlace;
 use crate::datapath::Router;
 use crate::listen;
@@ -58,12 +57,13 @@ async fn demo(args: Args) -> anyhow::Result<ExitCode> {
     let plant = Plant::build().await?;
     let listen = |port| listen::tcp((Ipv4Addr::LOCALHOST, port).into(), "the demo's address");
     let usual = AdminPlace::default().listen.port();
-    let admin = TcpListener::from_std(listen(usual).or_else(|_| listen(0))?)?;
+    let admin = listen(usual).or_else(|_| listen(0))?;
     let admin_address = admin.local_addr()?;
     let router = Router::start(plant.config(admin_address)).context("the relay does not start")?;
     let router = Arc::new(router);
     let (stop_admin, admin_stopped) = oneshot::channel::<()>();
     let admin_stopped = async { _ = admin_stopped.await };
+    let admin = Listeners::from_std(Some(admin), None)?;
     let serving = admin::serve(admin, Arc::clone(&router), None, Sandbox::off(), admin_stopped);
     let admin = tokio::spawn(serving);
 

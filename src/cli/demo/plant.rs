@@ -110,6 +110,7 @@ impl Plant {
                 metrics_without_token: false,
                 reload: false,
             }),
+            control: None,
             files: Vec::new(),
         }
     }

@@ -6,20 +6,19 @@
 mod snapshot;
 mod table;
 
-use std::io::{self, Write, stdout};
+use std::io::Write;
 use std::process::ExitCode;
 use std::time::{Duration, Instant};
 
 use anyhow::Context;
 use clap::builder::BoolishValueParser;
 use serde_json::{Value, json};
-use terminal_size::{Height, Width, terminal_size_of};
 
-use super::admin_server::{self, AdminServer};
+use super::admin_server::{self, AdminServer, percent_encoded};
 use super::output::{Format, Paint, out};
+use super::screen::{json_line, show, width};
 use super::signals::Signals;
-use crate::config::AdminPlace;
-use crate::harmless::{harmless, harmless_json, harmless_value};
+use crate::harmless::{harmless, harmless_value};
 
 use snapshot::Snapshot;
 use table::Layout;
@@ -120,7 +119,7 @@ async fn watch(args: &Args, relay: &Relay, interval: Duration) -> anyhow::Result
                 format!("pnet-nat: {}\n", harmless(&format!("{error:#}")))
             }
         };
-        show(&text, args.format)?;
+        show(&text, args.format, "pnet-nat status, or --net")?;
         tokio::select! {
             _ = signals.next() => return Ok(ExitCode::SUCCESS),
             () = tokio::time::sleep(interval) => {}
@@ -128,36 +127,8 @@ async fn watch(args: &Args, relay: &Relay, interval: Duration) -> anyhow::Result
     }
 }
 
-fn json_line(value: &Value) -> String {
-    harmless_json(&value.to_string()) + "\n"
-}
-
-/// Shows a table in place of the one before, cut to the height of the terminal.
-fn show(text: &str, format: Format) -> io::Result<()> {
-    let mut out = out();
-    let (Some((_, height)), Format::Text) = (terminal(), format) else {
-        out.write_all(text.as_bytes())?;
-        return out.flush();
-    };
-    let room = usize::from(height.0).saturating_sub(2);
-    write!(out, "\x1b[H\x1b[?7l")?; // cursor to the top, no wrapping
-    for line in text.lines().take(room) {
-        writeln!(out, "{line}\x1b[K")?;
-    }
-    write!(out, "\x1b[J\x1b[?7h")?; // clear the rest, wrap again
-    if let Some(more) = text.lines().count().checked_sub(room).filter(|more| *more > 0) {
-        write!(out, "{more} more lines: pnet-nat status, or --net\r")?;
-    }
-    out.flush()
-}
-
 fn paper(full: bool) -> Layout {
-    Layout { paint: Paint::of_stdout(), width: terminal().map(|(width, _)| width.0), full }
-}
-
-/// The size of the terminal; none if stdout is not a terminal.
-fn terminal() -> Option<(Width, Height)> {
-    terminal_size_of(stdout())
+    Layout { paint: Paint::of_stdout(), width: width(), full }
 }
 
 /// A relay, and which of its nets to show.
@@ -168,16 +139,13 @@ struct Relay {
 
 impl Relay {
     fn new(args: &Args) -> anyhow::Result<Self> {
-        let usual = AdminPlace::default().listen;
-        let server = AdminServer::new(&args.relay, usual, None, args.timeout)?;
+        let server = AdminServer::new(&args.relay, args.timeout)?;
         Ok(Self { server, net: args.net.clone() })
     }
 
     /// Everything that is shown, as one object.
     async fn ask(&self) -> anyhow::Result<Value> {
-        // Percent-encoded as a whole, so that any text is possible.
-        let encoded = |net: &String| net.bytes().map(|octet| format!("%{octet:02x}")).collect();
-        let query = self.net.as_ref().map(encoded).map(|net: String| format!("?net={net}"));
+        let query = self.net.as_ref().map(|net| format!("?net={}", percent_encoded(net)));
         let nets = format!("/api/v1/nets{}", query.unwrap_or_default());
         let nets = self.server.get(&nets).await?.remove("nets");
         let nets = nets.with_context(|| self.server.no_api())?;

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use comfy_table::ContentArrangement;
 
-use super::super::output::{Paint, duration, table};
+use super::super::output::{Paint, age, duration, table};
 use super::snapshot::{Net, Node, NotInForce, Reload, Snapshot, Status, Traffic};
 
 /// The most nodes that are all listed without `--full`.
@@ -251,15 +251,6 @@ fn traffic(now: &Traffic, earlier: Option<(Duration, Option<&Traffic>)>) -> [Str
 /// The rate a second since an earlier state.
 fn rate(ago: Duration, now: u64, before: u64) -> String {
     format!("{:.1}", now.saturating_sub(before) as f64 / ago.as_secs_f64())
-}
-
-/// A time rounded to its largest unit.
-fn age(seconds: f64) -> String {
-    let unit = [("d", 86_400.0), ("h", 3_600.0), ("min", 60.0)];
-    match unit.into_iter().find(|(_, length)| seconds >= 2.0 * length) {
-        Some((name, length)) => format!("{:.0} {name}", (seconds / length).floor()),
-        None => format!("{seconds:.0} s"),
-    }
 }
 
 /// A line for each part that the last reload did not bring into force.

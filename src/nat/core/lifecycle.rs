@@ -8,7 +8,7 @@ use std::time::Instant;
 
 use super::{AT_ONCE, Arrival, Core};
 use crate::nat::effects::Effects;
-use crate::nat::flow::{Answers, Flow};
+use crate::nat::flow::{Answers, Flow, FlowTraffic};
 use crate::nat::ids::FlowId;
 use crate::nat::protocol::Conversation;
 use crate::nat::reason::{CloseReason, DropReason};
@@ -62,6 +62,7 @@ impl Core {
             opened: now,
             last_used: now,
             answers: Answers::default(),
+            traffic: FlowTraffic::default(),
             conversation: Conversation::of(self.rules.table.net(mapping.net).kind),
             era: self.era,
             paid_until: 0,

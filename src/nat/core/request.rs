@@ -92,6 +92,7 @@ impl Core {
             server.set_port(port);
         }
         let asks = request.wants_answer().then_some(id);
+        let octets = payload.len();
         if let Some(index) = credential.map(usize::from) {
             if flow.noted == 0 || now - flow.noted >= NOTED_AGAIN {
                 flow.noted = now;
@@ -101,6 +102,7 @@ impl Core {
             let net = self.rules.table.net(mapping.net);
             protocol::for_server(payload, net, &net.credentials[index])?;
         }
+        flow.traffic.request(octets);
         Ok(ToServer { via: flow.upstream, server, asks })
     }
 

@@ -90,6 +90,7 @@ impl Core {
             None => {}
         }
         flow.last_used = now; // N-3
+        flow.traffic.response(payload.len());
         let node = self.counters.node(flow.mapping);
         node.answered(&self.writer, now);
         if is_answer && let Some(response_time) = flow.answers.came(now) {
