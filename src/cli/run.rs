@@ -22,7 +22,7 @@ use crate::config::{self, Admin, Config, Warning};
 use crate::datapath::{Bound, Router, StartError};
 use crate::listen::{self, ListenError};
 use crate::logging;
-use crate::observe::DropReport;
+use crate::observe::{DropReport, Observer};
 use crate::reload::Reloader;
 use crate::sandbox::{self, Sandbox, User};
 use crate::service;
@@ -171,6 +171,7 @@ fn relay(
     runtime.block_on(async {
         let mut signals = Signals::new()?;
         let mut noise = DropReport::new(Arc::clone(&router));
+        let mut observer = Observer::new(Arc::clone(&router));
         let stopped = Arc::new(Notify::new());
         let serving = match admin {
             Some(listener) => {
@@ -197,6 +198,7 @@ fn relay(
         tokio::select! {
             name = signals.next() => tracing::info!(signal = name, "stopping"),
             never = noise.run() => never,
+            never = observer.run() => never,
             never = reloading => never,
             never = service::watchdog(Arc::clone(&router)) => never,
         }
