@@ -68,7 +68,8 @@ impl Default for ResponseTimes {
 impl ResponseTimes {
     /// Counts one response that took `elapsed`.
     pub fn observe(&self, writer: &Writer, elapsed: Duration) {
-        let nanos = u64::try_from(elapsed.as_nanos()).unwrap_or(u64::MAX);
+        // At least 1, so that a sum of 0 tells that there was no answer.
+        let nanos = u64::try_from(elapsed.as_nanos()).unwrap_or(u64::MAX).max(1);
         self.answers[Self::bucket(nanos)].add(writer, 1);
         self.sum_nanos.add(writer, nanos);
     }
@@ -83,7 +84,7 @@ impl ResponseTimes {
         self.answers.iter().map(Counter::get)
     }
 
-    /// The sum of all times, in nanoseconds.
+    /// The sum of all times, in nanoseconds. It is 0 only before the first answer.
     pub fn sum_nanos(&self) -> u64 {
         self.sum_nanos.get()
     }

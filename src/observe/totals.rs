@@ -52,6 +52,7 @@ impl DirectionTotals {
 #[derive(Clone, Debug)]
 pub struct ResponseTotals {
     answers: [u64; FINE_BUCKETS],
+    count: u64,
     sum: Duration,
 }
 
@@ -68,7 +69,7 @@ pub struct BucketTotals {
 
 impl Default for ResponseTotals {
     fn default() -> Self {
-        Self { answers: [0; FINE_BUCKETS], sum: Duration::ZERO }
+        Self { answers: [0; FINE_BUCKETS], count: 0, sum: Duration::ZERO }
     }
 }
 
@@ -77,12 +78,13 @@ impl ResponseTotals {
     pub fn observe(&mut self, elapsed: Duration) {
         let nanos = u64::try_from(elapsed.as_nanos()).unwrap_or(u64::MAX);
         self.answers[ResponseTimes::bucket(nanos)] += 1;
+        self.count += 1;
         self.sum = self.sum.saturating_add(elapsed);
     }
 
     /// The number of measured times.
     pub fn count(&self) -> u64 {
-        self.answers.iter().sum()
+        self.count
     }
 
     /// The sum of all times.
@@ -100,16 +102,18 @@ impl ResponseTotals {
     /// bucket holds the answers beyond all bounds.
     pub fn coarse(&self) -> [u64; RESPONSE_BUCKETS.len() + 1] {
         let mut coarse = [0; RESPONSE_BUCKETS.len() + 1];
-        for BucketTotals { upper, answers, .. } in self.buckets() {
+        for BucketTotals { upper, answers, .. } in self.filled_buckets() {
             let upper = upper.map_or(f64::INFINITY, |upper| upper.as_secs_f64());
             coarse[RESPONSE_BUCKETS.partition_point(|&bound| bound < upper)] += answers;
         }
         coarse
     }
 
-    /// All buckets, shortest times first.
-    pub fn buckets(&self) -> impl Iterator<Item = BucketTotals> {
-        self.answers.iter().enumerate().map(|(index, &answers)| {
+    /// The buckets with answers, shortest times first.
+    pub fn filled_buckets(&self) -> impl Iterator<Item = BucketTotals> {
+        let all = if self.count > 0 { &self.answers[..] } else { &[] };
+        let filled = all.iter().enumerate().filter(|(_, answers)| **answers > 0);
+        filled.map(|(index, &answers)| {
             let upper = FINE_BOUNDS.get(index).copied().map(Duration::from_nanos);
             BucketTotals { upper, about: about(index), answers }
         })
@@ -119,7 +123,10 @@ impl ResponseTotals {
     /// `None` before the first answer. It is rounded to two digits, so its error is under 5 %; from
     /// 10 s on it is 10 s.
     pub fn quantile(&self, share: f64) -> Option<Duration> {
-        let rank = share * self.count() as f64;
+        if self.count == 0 {
+            return None;
+        }
+        let rank = share * self.count as f64;
         let mut below = 0;
         let bucket = self.answers.iter().position(|&answers| {
             below += answers;
@@ -133,6 +140,7 @@ impl ResponseTotals {
         for (sum, answers) in self.answers.iter_mut().zip(other.answers) {
             *sum += answers;
         }
+        self.count += other.count;
         self.sum += other.sum;
     }
 
@@ -142,13 +150,19 @@ impl ResponseTotals {
         for (answers, earlier) in times.answers.iter_mut().zip(earlier.answers) {
             *answers = answers.saturating_sub(earlier);
         }
+        times.count = times.answers.iter().sum();
         times.sum = times.sum.saturating_sub(earlier.sum);
         times
     }
 
     fn add_node(&mut self, node: &ResponseTimes) {
+        // Most nodes of a large table may never have been asked.
+        if node.sum_nanos() == 0 {
+            return;
+        }
         for (sum, answers) in self.answers.iter_mut().zip(node.buckets()) {
             *sum += answers;
+            self.count += answers;
         }
         self.sum += Duration::from_nanos(node.sum_nanos());
     }

@@ -39,7 +39,7 @@ impl ResponseTimes {
             answers,
             sum_seconds: (about.as_nanos() * u128::from(answers)) as f64 / 1e9,
         };
-        times.buckets().filter(|bucket| bucket.answers > 0).map(bucket).collect()
+        times.filled_buckets().map(bucket).collect()
     }
 }
 
