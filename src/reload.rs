@@ -19,6 +19,7 @@ use crate::config::{self, Changes, Config, Faults, Warning};
 use crate::datapath::{Reloaded, Router, Stopping};
 use crate::listen::chain;
 use crate::logging::{list, log_faults};
+use crate::observe::events::EventKind;
 use crate::service;
 use crate::thread::{self, ThreadError};
 
@@ -115,6 +116,7 @@ impl Reloader {
                 }
             };
             log(&outcome);
+            note(&reloader.router, &outcome);
             service::ready(&reloader.router);
             outcome.map_err(|error| chain(&error))
         });
@@ -202,6 +204,54 @@ fn refuse(router: &Router, error: &ReloadError) {
         }
         error => router.refuse_reload(chain(error), Vec::new()),
     }
+}
+
+/// Notes the outcome as an event.
+fn note(router: &Router, outcome: &Result<Reloaded, ReloadError>) {
+    let (kind, text) = match outcome {
+        Ok(reloaded) if reloaded.not_in_force.is_empty() => {
+            (EventKind::Reload, format!("reload: {}", summary(reloaded)))
+        }
+        Ok(reloaded) => {
+            let not_in_force: Vec<_> =
+                reloaded.not_in_force.iter().map(ToString::to_string).collect();
+            let text = format!("reload: not in force: {}", not_in_force.join("; "));
+            (EventKind::ReloadFailed, text)
+        }
+        Err(ReloadError::Faults(Faults(faults))) => {
+            let first = faults.first().map(ToString::to_string).unwrap_or_default();
+            let more = faults.len().saturating_sub(1);
+            let more = if more > 0 { format!(" (and {more} more faults)") } else { String::new() };
+            (EventKind::ReloadFailed, format!("reload failed: {NOT_SOUND}: {first}{more}"))
+        }
+        Err(error) => (EventKind::ReloadFailed, format!("reload failed: {}", chain(error))),
+    };
+    router.journal().note(kind, text);
+}
+
+/// What a reload changed, in one line.
+fn summary(reloaded: &Reloaded) -> String {
+    let Reloaded { changes, flows_closed, .. } = reloaded;
+    let settings: Vec<_> = changes.settings_changed.iter().map(ToString::to_string).collect();
+    let lists = [
+        ("settings changed", &settings),
+        ("nets added", &changes.nets_added),
+        ("nets removed", &changes.nets_removed),
+        ("nets changed", &changes.nets_changed),
+        ("nodes added", &changes.mappings_added),
+        ("nodes removed", &changes.mappings_removed),
+        ("nodes changed", &changes.mappings_changed),
+        ("passwords added", &changes.credentials_added),
+        ("passwords withdrawn", &changes.credentials_withdrawn),
+        ("passwords changed", &changes.credentials_changed),
+    ];
+    let lists = lists.into_iter().filter(|(_, list)| !list.is_empty());
+    let mut parts: Vec<_> =
+        lists.map(|(what, list)| format!("{what}: {}", list.join(", "))).collect();
+    if *flows_closed > 0 {
+        parts.push(format!("flows closed: {flows_closed}"));
+    }
+    if parts.is_empty() { "nothing changed".to_owned() } else { parts.join("; ") }
 }
 
 fn log(outcome: &Result<Reloaded, ReloadError>) {

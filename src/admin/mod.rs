@@ -62,7 +62,7 @@ const GRACE: Duration = Duration::from_secs(1);
 const ACCEPT_PAUSE: Duration = Duration::from_secs(1);
 
 /// The paths, and what each is for.
-const ROUTES: [(&str, &str); 10] = [
+const ROUTES: [(&str, &str); 12] = [
     ("/", "the status page, for browsers"),
     ("/metrics", "for Prometheus"),
     ("/-/healthy", "200 as long as the process runs"),
@@ -75,6 +75,14 @@ const ROUTES: [(&str, &str); 10] = [
     ("/api/v1/nets", "nets and nodes with their counters; ?nodes=false&net=NAME for less"),
     ("/api/v1/drop-reasons", "why datagrams are dropped, in plain words"),
     ("/api/v1/flows?limit=1000", "open flows, at most 10000, and the use of passwords; ?net=NAME"),
+    (
+        "/api/v1/events",
+        "what happened: nodes, reloads, throttling, floods; ?after=NUMBER for later ones",
+    ),
+    (
+        "/api/v1/history",
+        "figures of the last hour and day; ?net=NAME for the states of its nodes too",
+    ),
     ("/api/v1/config", "the configuration in force, without passwords"),
 ];
 
@@ -128,6 +136,7 @@ pub fn routes(router: Arc<Router>, reloader: Option<Reloader>, sandbox: Sandbox)
         scrapes: Scrapes::default(),
         turn: Turn::default(),
         flow_lists: api::FlowLists::default(),
+        packing: Arc::default(),
     };
     axum::Router::new()
         .route("/", get(page::html))
@@ -142,6 +151,8 @@ pub fn routes(router: Arc<Router>, reloader: Option<Reloader>, sandbox: Sandbox)
         .route("/api/v1/nets", get(api::nets))
         .route("/api/v1/drop-reasons", get(api::drop_reasons))
         .route("/api/v1/flows", get(api::flows))
+        .route("/api/v1/events", get(api::events))
+        .route("/api/v1/history", get(api::history))
         .route("/api/v1/config", get(api::config))
         .fallback(not_found)
         .layer(middleware::from_fn_with_state(shared.clone(), access::control))
@@ -158,6 +169,8 @@ struct Shared {
     scrapes: Scrapes,
     turn: Turn,
     flow_lists: api::FlowLists,
+    /// Held while a history is compressed, which takes some memory.
+    packing: Arc<tokio::sync::Mutex<()>>,
 }
 
 async fn answer(connection: Connection, routes: axum::Router) -> hyper::Result<()> {

@@ -176,7 +176,7 @@ fn unpack(decoder: &mut GzDecoder<Vec<u8>>, piece: &[u8]) -> io::Result<Vec<u8>>
 }
 
 /// Whether the client accepts gzip, and prefers it to plain text (RFC 9110, 12.5.3).
-fn takes_gzip(headers: &HeaderMap) -> bool {
+pub(super) fn takes_gzip(headers: &HeaderMap) -> bool {
     let fields = headers.get_all(ACCEPT_ENCODING).iter().filter_map(|value| value.to_str().ok());
     let codings: Vec<_> = fields.flat_map(|field| field.split(',')).map(coding).collect();
     let weight = |names: &[&str]| {

@@ -6,6 +6,7 @@ use std::thread::{self, JoinHandle};
 use std::time::Instant;
 
 use serde_json::{Value, json};
+use strum::VariantArray;
 use tokio::sync::oneshot;
 
 use axum::http::HeaderMap;
@@ -14,6 +15,9 @@ use super::*;
 use crate::config::fixture::{self, NODE_1, PASSWORDS, SECTION, config};
 use crate::config::{Admin, Token};
 use crate::nat::{Direction, DropReason, Writer};
+use crate::observe::events::EventKind;
+use crate::observe::history::{History, Series, Step};
+use crate::observe::totals::Presence;
 
 /// An admin server on a free port, in a thread of its own; ends when dropped.
 struct Server {
@@ -358,7 +362,7 @@ fn nets_show_what_was_counted() {
             "response_time_mean_seconds": 0.004, "response_time_median_seconds": 0.004,
             "response_time_p99_seconds": 0.004,
             "response_time_buckets": [0, 0, 0, 0, 2, 0, 0, 0, 0, 0, 0],
-            "response_times": [{ "up_to_seconds": 0.004, "answers": 2, "sum_seconds": 0.008 }],
+            "response_times": [{ "up_to_seconds": 0.00405, "answers": 2, "sum_seconds": 0.008 }],
         })
     );
     let nothing = json!({
@@ -380,7 +384,7 @@ fn nets_show_what_was_counted() {
                 "response_time_p99_seconds": 0.004,
                 "response_time_buckets": [0, 0, 0, 0, 2, 0, 0, 0, 0, 0, 0],
                 "response_times": [
-                    { "up_to_seconds": 0.004, "answers": 2, "sum_seconds": 0.008 },
+                    { "up_to_seconds": 0.00405, "answers": 2, "sum_seconds": 0.008 },
                 ],
             },
             {
@@ -397,6 +401,85 @@ fn nets_show_what_was_counted() {
     let press = &nets["nets"][1];
     assert_eq!((&press["kind"], &press["subnet"]), (&json!("server"), &json!(null)));
     assert_eq!(press["nodes"][0]["node"], 7);
+}
+
+#[test]
+fn events_come_newest_first_and_after_a_number() {
+    let router = Router::idle(config(), 1);
+    router.journal().note(EventKind::Start, "it relays".to_owned());
+    router.journal().note(EventKind::Reload, "reload: nothing changed".to_owned());
+    let server = Server::start(router);
+    let all = server.get("/api/v1/events").json();
+    let events = all["events"].as_array().unwrap();
+    let mut newest = events[0].clone();
+    assert!(newest["time"].take().as_f64() > Some(1.7e9));
+    assert_eq!(
+        newest,
+        json!({
+            "number": 2, "time": null, "kind": "reload", "net": null, "node": null,
+            "text": "reload: nothing changed",
+        })
+    );
+    assert_eq!((events.len(), &events[1]["kind"]), (2, &json!("start")));
+    let later = server.get("/api/v1/events?after=1").json();
+    assert_eq!(later["events"].as_array().unwrap().len(), 1);
+    assert_eq!(server.get("/api/v1/events?after=2").json(), json!({ "events": [] }));
+    assert_eq!(server.get("/api/v1/events?after=-1").status, 400);
+}
+
+#[test]
+fn a_history_is_the_same_compressed_and_not() {
+    let router = Router::idle(config(), 1);
+    let step = Step { length: History::STEP, requests: 25, ..Step::default() };
+    for n in 1..=7 {
+        let presences = [Presence::Answering, Presence::Silent, Presence::NeverAsked].into_iter();
+        router.journal().history().note(n * History::STEP, &step, presences);
+    }
+    let server = Server::start(router);
+    let path = "/api/v1/history?net=section-1";
+    let mut history = server.get(path).json();
+    assert!(history["now"].take().as_f64() > Some(1.7e9));
+    assert_eq!(history["hour"]["step_seconds"], 10);
+    assert_eq!(history["day"]["step_seconds"], 60);
+    for series in Series::VARIANTS {
+        let of = |steps: &str| history[steps][series.label()].as_array().unwrap().len();
+        assert_eq!((of("hour"), of("day")), (360, 1440), "{series:?}");
+    }
+    let requests = history["hour"]["requests"].as_array().unwrap();
+    assert_eq!(
+        requests[352..],
+        [
+            json!(null),
+            json!(2.5),
+            json!(2.5),
+            json!(2.5),
+            json!(2.5),
+            json!(2.5),
+            json!(2.5),
+            json!(2.5)
+        ]
+    );
+    assert_eq!(history["day"]["median_seconds"][1439], json!(null), "nobody answered");
+    for (node, letter) in [("1", 'a'), ("33", 'n')] {
+        let states = history["nodes"][node].as_str().unwrap();
+        assert_eq!(states, format!("{}{letter}", "-".repeat(1439)));
+    }
+    assert!(server.get("/api/v1/history").json().get("nodes").is_none());
+    assert_eq!(server.get("/api/v1/history?net=none").status, 404);
+
+    let mut stream = server.connect();
+    let headers = "host: localhost\r\naccept-encoding: gzip";
+    write!(stream, "GET {path} HTTP/1.0\r\n{headers}\r\n\r\n").unwrap();
+    let mut answer = Vec::new();
+    stream.read_to_end(&mut answer).unwrap();
+    let body = answer.windows(4).position(|octets| octets == b"\r\n\r\n").unwrap() + 4;
+    assert!(String::from_utf8_lossy(&answer[..body]).contains("content-encoding: gzip"));
+    assert!(answer.len() < 8 * 1024, "{} octets", answer.len());
+    let mut text = String::new();
+    flate2::read::GzDecoder::new(&answer[body..]).read_to_string(&mut text).unwrap();
+    let mut unpacked: Value = serde_json::from_str(&text).unwrap();
+    unpacked["now"].take();
+    assert_eq!(unpacked, history);
 }
 
 #[test]

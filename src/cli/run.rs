@@ -23,7 +23,7 @@ use crate::config::{self, Admin, Config, Warning};
 use crate::datapath::{Bound, Router, StartError};
 use crate::listen::{self, ListenError};
 use crate::logging;
-use crate::observe::DropReport;
+use crate::observe::{DropReport, Observer};
 use crate::reload::Reloader;
 use crate::sandbox::{self, Sandbox, User};
 use crate::service;
@@ -185,6 +185,7 @@ fn relay(
     runtime.block_on(async {
         let mut signals = Signals::new()?;
         let mut noise = DropReport::new(Arc::clone(&router));
+        let mut observer = Observer::new(Arc::clone(&router));
         let stopped = Arc::new(Notify::new());
         let (control, control_file) = control.unzip();
         let serving = (admin.is_some() || control.is_some()).then(|| {
@@ -210,6 +211,7 @@ fn relay(
         tokio::select! {
             name = signals.next() => tracing::info!(signal = name, "stopping"),
             never = noise.run() => never,
+            never = observer.run() => never,
             never = reloading => never,
             never = service::watchdog(Arc::clone(&router)) => never,
         }

@@ -7,7 +7,7 @@
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use crate::config::Config;
+use crate::config::{Config, Prefilter};
 use crate::nat::{Counters, NetId, Rules};
 
 use crate::datapath::socket::filtered::{KernelDrops, NetDrops};
@@ -50,6 +50,24 @@ impl ActiveConfig {
             }
         }
         self.drops[usize::from(net.0)].get()
+    }
+
+    /// The same without asking the kernel, as the workers saw it last. During a flood, they look about
+    /// once a second.
+    pub fn kernel_drops_seen(&self, net: NetId) -> KernelDrops {
+        self.drops[usize::from(net.0)].get()
+    }
+
+    /// For each net, whether the kernel refuses a flood at one of its public ports. There is nothing
+    /// to tell of where the prefilter is always on or always off.
+    pub fn floods(&self) -> Vec<bool> {
+        let mut floods = vec![false; self.drops.len()];
+        if self.config.datapath.prefilter == Prefilter::Auto {
+            for (_, listener) in self.listeners().iter().flat_map(Listeners::iter) {
+                floods[usize::from(listener.net.0)] |= listener.socket.is_filtered();
+            }
+        }
+        floods
     }
 
     /// Datagrams that the kernel dropped on upstream sockets. The figure may be a second old.

@@ -11,6 +11,7 @@ mod last_reload;
 mod reload;
 mod router;
 mod socket;
+mod throttlings;
 
 pub use active_config::ActiveConfig;
 pub use last_reload::LastReload;
@@ -19,3 +20,4 @@ pub use router::{Bound, Router};
 pub use socket::descriptors::TooFewDescriptors;
 pub use socket::filtered::KernelDrops;
 pub use socket::setup::StartError;
+pub(crate) use throttlings::Throttling;

@@ -23,8 +23,10 @@ use crate::datapath::socket::handle::Handle;
 use crate::datapath::socket::port_pool::Ports;
 use crate::datapath::socket::setup::{self, Missing, Opened, StartError};
 use crate::datapath::socket::worker::{Shared, Worker};
+use crate::datapath::throttlings::Throttlings;
 use crate::listen;
 use crate::logging::audit::Audit;
+use crate::observe::Journal;
 
 /// How long the workers may take to send their flows.
 const ANSWER_TIME: Duration = Duration::from_secs(1);
@@ -37,6 +39,8 @@ pub struct Router {
     /// Held while the workers go over to another configuration, or are told to end.
     pub(in crate::datapath) changing: tokio::sync::Mutex<()>,
     audit: Arc<Audit>,
+    throttlings: Arc<Throttlings>,
+    journal: Journal,
     /// The ports of the upstream sockets.
     pub(in crate::datapath) ports: Arc<Ports>,
     pub(in crate::datapath) workers: Vec<Handle>,
@@ -96,8 +100,10 @@ impl Router {
         let audit = Arc::new(Audit::new(config.log.audit_lines));
         let ports = Arc::new(Ports::new(&config));
         let upstream_drops: Arc<NetDrops> = Arc::default();
+        let throttlings: Arc<Throttlings> = Arc::default();
         let shared = Shared {
             audit: Arc::clone(&audit),
+            throttlings: Arc::clone(&throttlings),
             ports: Arc::clone(&ports),
             drops: Arc::clone(&upstream_drops),
         };
@@ -113,7 +119,8 @@ impl Router {
             workers.push(worker);
         }
         let active = ActiveConfig::new(config, rules, counters, drops, upstream_drops, listeners);
-        Ok(Bound { router: Self::new(active, audit, ports, handles, started), workers })
+        let router = Self { throttlings, ..Self::new(active, audit, ports, handles, started) };
+        Ok(Bound { router, workers })
     }
 
     fn new(
@@ -123,11 +130,14 @@ impl Router {
         workers: Vec<Handle>,
         started: Instant,
     ) -> Self {
+        let journal = Journal::new(&active.config.table);
         Self {
             active: RwLock::new(Arc::new(active)),
             last_reload: Mutex::default(),
             changing: tokio::sync::Mutex::default(),
             audit,
+            throttlings: Arc::default(),
+            journal,
             ports,
             workers,
             ends: Mutex::default(),
@@ -177,6 +187,16 @@ impl Router {
     /// The audit log, which limits its own lines.
     pub(crate) fn audit(&self) -> &Audit {
         &self.audit
+    }
+
+    /// The senders that were throttled lately.
+    pub(crate) fn throttlings(&self) -> &Throttlings {
+        &self.throttlings
+    }
+
+    /// The last events, and the figures of the last day.
+    pub fn journal(&self) -> &Journal {
+        &self.journal
     }
 
     /// Whether every socket is bound and no shutdown has begun.

@@ -149,7 +149,7 @@ impl Event {
 }
 
 /// The address as text: `198.51.100.7` or `2001:db8:0:7::/64`.
-fn address(throttled: &Throttled) -> String {
+pub(crate) fn address(throttled: &Throttled) -> String {
     let network = throttled.address();
     match network.addr() {
         IpAddr::V4(address) => address.to_string(),

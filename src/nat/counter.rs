@@ -21,6 +21,11 @@ impl Writer {
 }
 
 impl Counter {
+    /// A counter at 0.
+    pub const fn new() -> Self {
+        Self(AtomicU64::new(0))
+    }
+
     /// Adds `n`.
     #[inline]
     pub fn add(&self, _: &Writer, n: u64) {

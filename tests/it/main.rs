@@ -19,6 +19,7 @@ mod decode;
 mod decode_profinet;
 mod drops;
 mod early_signals;
+mod events;
 mod fail2ban;
 mod failover;
 mod faults;

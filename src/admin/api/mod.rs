@@ -5,7 +5,9 @@
 
 mod config;
 mod drop_reasons;
+mod events;
 mod flows;
+mod history;
 mod nets;
 mod status;
 mod traffic;
@@ -19,7 +21,9 @@ use super::turn::Turn;
 
 pub(super) use config::config;
 pub(super) use drop_reasons::drop_reasons;
+pub(super) use events::events;
 pub(super) use flows::{FlowLists, flows};
+pub(super) use history::history;
 pub(super) use nets::nets;
 pub(super) use status::status;
 

@@ -140,10 +140,10 @@ impl NodeState {
         let age = |last| now.saturating_sub(last).as_secs_f64();
         Self {
             element: Element::of(active.config.table.mapping(mapping)),
-            presence: totals.presence(now),
+            presence: totals.contact.presence(now),
             traffic: Traffic::of(&totals),
-            last_request_age_seconds: totals.last_request.map(age),
-            last_response_age_seconds: totals.last_response.map(age),
+            last_request_age_seconds: totals.contact.last_request.map(age),
+            last_response_age_seconds: totals.contact.last_response.map(age),
         }
     }
 }

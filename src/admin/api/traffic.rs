@@ -1,7 +1,6 @@
 //! Datagrams and response times of a node, of a net, or of what belongs to no net.
 
 use std::collections::BTreeMap;
-use std::time::Duration;
 
 use serde::Serialize;
 
@@ -23,23 +22,24 @@ pub(super) struct Traffic {
     response_times: Vec<ResponseTimes>,
 }
 
-/// Answers that took about the same time.
+/// Answers whose times are the same when they are rounded to two digits.
 #[derive(Serialize)]
 struct ResponseTimes {
     /// Null: no bound.
     up_to_seconds: Option<f64>,
     answers: u64,
+    /// The sum of the rounded times.
     sum_seconds: f64,
 }
 
 impl ResponseTimes {
     fn of(times: &ResponseTotals) -> Vec<Self> {
-        let bucket = |(upper, bucket): (Option<Duration>, BucketTotals)| Self {
+        let bucket = |BucketTotals { upper, about, answers }| Self {
             up_to_seconds: upper.map(|upper| upper.as_secs_f64()),
-            answers: bucket.answers,
-            sum_seconds: bucket.sum.as_secs_f64(),
+            answers,
+            sum_seconds: (about.as_nanos() * u128::from(answers)) as f64 / 1e9,
         };
-        times.buckets().filter(|(_, bucket)| bucket.answers > 0).map(bucket).collect()
+        times.filled_buckets().map(bucket).collect()
     }
 }
 

@@ -25,6 +25,7 @@ use crate::config::AdminPlace;
 use crate::datapath::Router;
 use crate::listen;
 use crate::logging;
+use crate::observe::Observer;
 use crate::sandbox::Sandbox;
 
 use figures::Figures;
@@ -67,6 +68,9 @@ async fn demo(args: Args) -> anyhow::Result<ExitCode> {
     let serving = admin::serve(admin, Arc::clone(&router), None, Sandbox::off(), admin_stopped);
     let admin = tokio::spawn(serving);
 
+    let mut observer = Observer::new(Arc::clone(&router));
+    let observing = tokio::spawn(async move { observer.run().await });
+
     let traffic = Traffic::new(&plant);
     let started = Instant::now();
     let figures = || Figures::take(started.elapsed(), &plant, &router, &traffic);
@@ -91,6 +95,7 @@ async fn demo(args: Args) -> anyhow::Result<ExitCode> {
     let figures = figures();
     let faults = figures.faults();
     display.close(&figures, &faults)?;
+    observing.abort();
     let _ = stop_admin.send(());
     admin.await?;
     Ok(if faults.is_empty() { ExitCode::SUCCESS } else { ExitCode::FAILURE })

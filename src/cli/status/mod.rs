@@ -1,8 +1,9 @@
 //! `pnet-nat status`: what the status page shows, in the terminal.
 //!
-//! `snapshot` is what the API answers, `table` how it is shown. Here the relay is asked, once or again
+//! `snapshot` is what the API answers, `table` how it is shown, and `events` what happened. Here the relay is asked, once or again
 //! and again.
 
+mod events;
 mod snapshot;
 mod table;
 
@@ -20,6 +21,7 @@ use super::screen::{json_line, show, width};
 use super::signals::Signals;
 use crate::harmless::{harmless, harmless_value};
 
+use events::Events;
 use snapshot::Snapshot;
 use table::Layout;
 
@@ -27,6 +29,7 @@ use table::Layout;
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:  pnet-nat status\n\
     \x20         pnet-nat status --watch --net section-1\n\
+    \x20         pnet-nat status --events\n\
     \x20         pnet-nat status --format json | jq '.nets[].silent_nodes'\n\
     Exit codes: 0 shown, whatever the state; 1 no answer, or not the answer of a relay.")]
 pub(super) struct Args {
@@ -47,7 +50,18 @@ pub(super) struct Args {
     #[arg(long, value_name = "NAME", env = "PNET_NAT_NET")]
     net: Option<String>,
 
-    /// Show every node; without it, only the silent ones are shown if there are more than 100.
+    /// Show what happened instead, newest first: nodes that fell silent or answered again, reloads,
+    /// throttling, floods. With --net, of this net only.
+    #[arg(
+        long,
+        env = "PNET_NAT_EVENTS",
+        value_parser = BoolishValueParser::new(),
+        conflicts_with = "watch"
+    )]
+    events: bool,
+
+    /// Show every node; without it, only the silent ones are shown if there are more than 100. With
+    /// --events, show all events; without it, the last 50.
     #[arg(long, env = "PNET_NAT_FULL", value_parser = BoolishValueParser::new())]
     full: bool,
 
@@ -79,6 +93,7 @@ pub(super) fn run(args: Args) -> anyhow::Result<ExitCode> {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     runtime.block_on(async {
         match args.watch {
+            None if args.events => events(&args, &relay).await,
             Some(interval) => watch(&args, &relay, interval).await,
             None => once(&args, &relay).await,
         }
@@ -90,6 +105,17 @@ async fn once(args: &Args, relay: &Relay) -> anyhow::Result<ExitCode> {
     let text = match args.format {
         Format::Json => json_line(&answer),
         Format::Text => paper(args.full).draw(&relay.read(answer)?, None, &relay.server.url),
+    };
+    out().write_all(text.as_bytes())?;
+    Ok(ExitCode::SUCCESS)
+}
+
+async fn events(args: &Args, relay: &Relay) -> anyhow::Result<ExitCode> {
+    let answer = harmless_value(Value::Object(relay.server.get("/api/v1/events").await?));
+    let events = Events::read(answer, args.net.as_deref())?;
+    let text = match args.format {
+        Format::Json => json_line(&json!({ "events": events.0 })),
+        Format::Text => events.draw(paper(args.full)),
     };
     out().write_all(text.as_bytes())?;
     Ok(ExitCode::SUCCESS)

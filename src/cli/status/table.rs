@@ -149,7 +149,7 @@ impl Layout {
         text
     }
 
-    fn table<const COLUMNS: usize>(
+    pub(super) fn table<const COLUMNS: usize>(
         self,
         header: [&str; COLUMNS],
         rows: &[[String; COLUMNS]],

@@ -1,9 +1,10 @@
-//! What a worker does for its core: it opens sockets, asks for the system's routes and writes the
-//! audit log.
+//! What a worker does for its core: it opens sockets, asks for the system's routes, writes the audit
+//! log and tells who is throttled.
 
 use std::net::{IpAddr, SocketAddr};
 use std::sync::Arc;
 
+use crate::datapath::throttlings::Throttlings;
 use crate::logging::audit::Audit;
 use crate::logging::warnings::RateLimitedWarnings;
 use crate::nat::{
@@ -23,6 +24,7 @@ pub(super) struct WorkerEffects {
     /// The sockets towards the servers.
     pub upstream: UpstreamSockets,
     pub audit: Arc<Audit>,
+    pub throttlings: Arc<Throttlings>,
     pub warnings: RateLimitedWarnings,
 }
 
@@ -75,6 +77,7 @@ impl Effects for WorkerEffects {
 
     fn throttling_begun(&mut self, table: &Table, throttled: &Throttled, mapping: MappingId) {
         self.audit.throttling_begun(table, throttled, mapping);
+        self.throttlings.note(table, throttled, mapping);
     }
 
     fn throttling_ended(&mut self, throttled: &Throttled) {

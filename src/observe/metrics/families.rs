@@ -261,11 +261,11 @@ fn response_times(sums: &NetSums<'_>) -> Vec<Metric> {
 }
 
 fn last_responses(sums: &NetSums<'_>) -> Vec<Metric> {
-    each_node(sums, |labels, totals| gauge(labels, sums.unix_time(totals.last_response)))
+    each_node(sums, |labels, totals| gauge(labels, sums.unix_time(totals.contact.last_response)))
 }
 
 fn unanswered_since(sums: &NetSums<'_>) -> Vec<Metric> {
-    each_node(sums, |labels, totals| gauge(labels, sums.unix_time(totals.waiting_since())))
+    each_node(sums, |labels, totals| gauge(labels, sums.unix_time(totals.contact.waiting_since())))
 }
 
 /// The name of the family that [`sandbox_layers`] makes.

@@ -32,6 +32,7 @@ use crate::datapath::socket::sys::batch::{Batch, LONG, Linux};
 use crate::datapath::socket::sys::epoll_wait::wait;
 use crate::datapath::socket::ticker::Ticker;
 use crate::datapath::socket::upstream::UpstreamSockets;
+use crate::datapath::throttlings::Throttlings;
 use crate::logging::audit::Audit;
 use crate::logging::warnings::RateLimitedWarnings;
 
@@ -66,6 +67,7 @@ pub(in crate::datapath) struct Worker {
 #[derive(Clone, Debug)]
 pub(in crate::datapath) struct Shared {
     pub audit: Arc<Audit>,
+    pub throttlings: Arc<Throttlings>,
     pub ports: Arc<Ports>,
     /// Counts what the kernel drops on the upstream sockets.
     pub drops: Arc<NetDrops>,
@@ -88,12 +90,13 @@ pub(in crate::datapath) struct WorkerSetup {
 impl Worker {
     pub(in crate::datapath) fn new(setup: WorkerSetup) -> io::Result<Self> {
         let WorkerSetup { core, listeners, epoll, wake, settings, started, .. } = setup;
-        let Shared { audit, ports, drops } = setup.shared;
+        let Shared { audit, throttlings, ports, drops } = setup.shared;
         epoll.add(&*wake, EventKey::Wake.arrivals())?;
         let effects = WorkerEffects {
             public: listeners,
             upstream: UpstreamSockets::new(Arc::clone(&epoll), ports, drops),
             audit,
+            throttlings,
             warnings: RateLimitedWarnings::default(),
         };
         let relay = Relay {
