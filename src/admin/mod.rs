@@ -60,7 +60,7 @@ const GRACE: Duration = Duration::from_secs(1);
 const ACCEPT_PAUSE: Duration = Duration::from_secs(1);
 
 /// The paths, and what each is for.
-const ROUTES: [(&str, &str); 10] = [
+const ROUTES: [(&str, &str); 11] = [
     ("/", "the status page, for browsers"),
     ("/metrics", "for Prometheus"),
     ("/-/healthy", "200 as long as the process runs"),
@@ -70,6 +70,7 @@ const ROUTES: [(&str, &str); 10] = [
     ("/api/v1/nets", "nets and nodes with their counters; ?nodes=false&net=NAME for less"),
     ("/api/v1/drop-reasons", "why datagrams are dropped, in plain words"),
     ("/api/v1/flows?limit=1000", "open flows, at most 10000"),
+    ("/api/v1/refused?limit=1000", "who is refused and why, newest first; ?net=NAME for one net"),
     ("/api/v1/config", "the configuration in force, without passwords"),
 ];
 
@@ -132,6 +133,7 @@ pub fn routes(router: Arc<Router>, reloader: Option<Reloader>, sandbox: Sandbox)
         .route("/api/v1/nets", get(api::nets))
         .route("/api/v1/drop-reasons", get(api::drop_reasons))
         .route("/api/v1/flows", get(api::flows))
+        .route("/api/v1/refused", get(api::refused))
         .route("/api/v1/config", get(api::config))
         .fallback(not_found)
         .layer(middleware::from_fn_with_state(shared.clone(), access::control))

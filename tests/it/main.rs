@@ -35,6 +35,7 @@ mod package;
 mod profinet;
 mod profinet_judge;
 mod prometheus;
+mod refused;
 mod relaying;
 mod reloading;
 mod request;

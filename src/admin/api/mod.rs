@@ -7,6 +7,7 @@ mod config;
 mod drop_reasons;
 mod flows;
 mod nets;
+mod refused;
 mod status;
 mod traffic;
 
@@ -21,6 +22,7 @@ pub(super) use config::config;
 pub(super) use drop_reasons::drop_reasons;
 pub(super) use flows::{FlowLists, flows};
 pub(super) use nets::nets;
+pub(super) use refused::refused;
 pub(super) use status::status;
 
 /// An object with one list, made item by item as the client reads it.
@@ -29,11 +31,21 @@ fn json_list(
     items: impl Iterator<Item = serde_json::Result<String>> + Send + 'static,
     turn: &Turn,
 ) -> Response {
+    json_list_and(name, items, "", turn)
+}
+
+/// The same with further members of the object behind the list, each after a comma.
+fn json_list_and(
+    name: &str,
+    items: impl Iterator<Item = serde_json::Result<String>> + Send + 'static,
+    members: &str,
+    turn: &Turn,
+) -> Response {
     let separators = iter::once("\n").chain(iter::repeat(",\n"));
     let items = separators.zip(items);
     let items = items.map(|(separator, item)| item.map(|item| separator.to_owned() + &item));
     let chunks = iter::once(Ok(format!("{{\"{name}\":[")))
         .chain(items)
-        .chain(iter::once(Ok("\n]}\n".to_owned())));
+        .chain(iter::once(Ok(format!("\n]{members}}}\n"))));
     ([(CONTENT_TYPE, "application/json")], turn.body(chunks)).into_response()
 }

@@ -129,13 +129,7 @@ impl Default for Refusals {
 impl Refusals {
     /// Notes a refused datagram. `hash` makes a hash that strangers cannot foresee.
     #[inline]
-    pub(super) fn note(
-        &self,
-        writer: &Writer,
-        now: Nanos,
-        refused: &Refused,
-        hash: &impl BuildHasher,
-    ) {
+    pub fn note(&self, writer: &Writer, now: Nanos, refused: &Refused, hash: &impl BuildHasher) {
         let words = refused.to_words();
         let hash = hash.hash_one(words);
         let sets = &self.sets[refused.reason as usize];
