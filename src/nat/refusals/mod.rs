@@ -133,7 +133,7 @@ impl Refusals {
         let words = refused.to_words();
         let hash = hash.hash_one(words);
         let sets = &self.sets[refused.reason as usize];
-        let set = &sets[hash as usize % sets.len()];
+        let set = &sets[hash as usize & (sets.len() - 1)]; // a power of two
         let tag = (hash >> 32) as u32 | 1; // 0 is free
         let is_its =
             |&way: &usize| set.tags[way].load(Relaxed) == tag && set.entries[way].words() == words;

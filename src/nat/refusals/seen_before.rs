@@ -28,7 +28,7 @@ impl SeenBefore {
     pub(super) fn note(&self, now: Nanos, hash: u64) -> bool {
         // It wraps after 68 s. Then an old fingerprint may keep its place for two seconds more.
         let time = (now >> 28) as u8;
-        let place = &self.0[hash as usize % self.0.len()];
+        let place = &self.0[hash as usize & (self.0.len() - 1)];
         let there = place.load(Relaxed);
         let fingerprint = (hash >> 40) as u32;
         let is_it = there >> 8 == fingerprint && there != 0;
