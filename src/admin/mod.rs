@@ -62,7 +62,7 @@ const GRACE: Duration = Duration::from_secs(1);
 const ACCEPT_PAUSE: Duration = Duration::from_secs(1);
 
 /// The paths, and what each is for.
-const ROUTES: [(&str, &str); 12] = [
+const ROUTES: [(&str, &str); 13] = [
     ("/", "the status page, for browsers"),
     ("/metrics", "for Prometheus"),
     ("/-/healthy", "200 as long as the process runs"),
@@ -83,6 +83,7 @@ const ROUTES: [(&str, &str); 12] = [
         "/api/v1/history",
         "figures of the last hour and day; ?net=NAME for the states of its nodes too",
     ),
+    ("/api/v1/refused?limit=1000", "who is refused and why, newest first; ?net=NAME for one net"),
     ("/api/v1/config", "the configuration in force, without passwords"),
 ];
 
@@ -153,6 +154,7 @@ pub fn routes(router: Arc<Router>, reloader: Option<Reloader>, sandbox: Sandbox)
         .route("/api/v1/flows", get(api::flows))
         .route("/api/v1/events", get(api::events))
         .route("/api/v1/history", get(api::history))
+        .route("/api/v1/refused", get(api::refused))
         .route("/api/v1/config", get(api::config))
         .fallback(not_found)
         .layer(middleware::from_fn_with_state(shared.clone(), access::control))

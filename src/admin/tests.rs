@@ -10,11 +10,12 @@ use strum::VariantArray;
 use tokio::sync::oneshot;
 
 use axum::http::HeaderMap;
+use foldhash::fast::FixedState;
 
 use super::*;
 use crate::config::fixture::{self, NODE_1, PASSWORDS, SECTION, config};
 use crate::config::{Admin, Token};
-use crate::nat::{Direction, DropReason, Writer};
+use crate::nat::{Direction, DropReason, Refused, Writer, net_key};
 use crate::observe::events::EventKind;
 use crate::observe::history::{History, Series, Step};
 use crate::observe::totals::Presence;
@@ -113,7 +114,10 @@ fn routes_answer_and_others_name_them() {
         assert_eq!(server.ask("DELETE", path).status, 405, "{path}");
     }
     for query in ["limit=10001", "limit=-1", "limit=many"] {
-        assert_eq!(server.get(&format!("/api/v1/flows?{query}")).status, 400, "{query}");
+        for path in ["flows", "refused"] {
+            let path = format!("/api/v1/{path}?{query}");
+            assert_eq!(server.get(&path).status, 400, "{path}");
+        }
     }
 }
 
@@ -303,6 +307,52 @@ fn scrapers_that_do_not_read_hold_up_neither_memory_nor_others() {
 fn resident_bytes() -> u64 {
     let pages = std::fs::read_to_string("/proc/self/statm").unwrap();
     pages.split(' ').nth(1).unwrap().parse::<u64>().unwrap() * 4096
+}
+
+#[test]
+fn whoever_was_refused_is_listed_newest_first() {
+    let (router, writer) = (Router::idle(config(), 2), Writer::of_worker());
+    let server = Server::start(Arc::clone(&router));
+    assert_eq!(server.get("/api/v1/refused").json(), json!({ "refused": [], "not_listed": 0 }));
+    let active = router.active_config();
+    let note = |worker: usize, now, sender: &str, net, node| {
+        let (direction, reason) = (Direction::Request, DropReason::SourceNotAllowed);
+        let (sender, net) = (sender.parse().unwrap(), net_key(net));
+        let refused = Refused { sender, net, node, direction, reason };
+        let refusals = &active.counters[worker].refusals;
+        refusals.note(&writer, now, &refused, &FixedState::default());
+    };
+    note(0, 1, "198.51.100.9", "section-1", 33);
+    note(1, 2_000_000, "2001:db8::7", "press", 7);
+    note(1, 3_000_000, "198.51.100.9", "section-1", 33);
+    active.counters[1].refusals.not_listed.add(&writer, 5);
+    while router.started().elapsed() < Duration::from_millis(4) {
+        thread::yield_now();
+    }
+
+    let mut all = server.get("/api/v1/refused").json();
+    for row in all["refused"].as_array_mut().unwrap() {
+        let [first, last] =
+            ["first_age_seconds", "last_age_seconds"].map(|age| row[age].take().as_f64().unwrap());
+        assert!(0.0 < last && last <= first && first < 60.0, "{first} {last}");
+    }
+    let row = |source, net, node, count| {
+        json!({ "source": source, "net": net, "node": node, "direction": "request",
+                "reason": "source_not_allowed", "count": count,
+                "first_age_seconds": null, "last_age_seconds": null })
+    };
+    let rows = [row("198.51.100.9", "section-1", 33, 2), row("2001:db8::7", "press", 7, 1)];
+    assert_eq!(all, json!({ "refused": rows, "not_listed": 5 }));
+    let sources = |query: &str| {
+        let answer = server.get(&format!("/api/v1/refused?{query}")).json();
+        let rows = answer["refused"].as_array().unwrap().iter();
+        rows.map(|row| row["source"].as_str().unwrap().to_owned()).collect::<Vec<_>>()
+    };
+    assert_eq!(sources("limit=1"), ["198.51.100.9"]);
+    assert_eq!(sources("net=press"), ["2001:db8::7"]);
+    assert_eq!(server.get("/api/v1/refused?net=none").status, 404);
+    let metrics = server.get("/metrics").text;
+    assert!(!metrics.contains("198.51.100.9") && !metrics.contains("db8"), "never in metrics");
 }
 
 #[test]
@@ -521,6 +571,7 @@ fn every_answer_says_that_it_is_for_nobody_else() {
         ("/status.js", &[]),
         ("/metrics", &[]),
         ("/api/v1/flows", &[]),
+        ("/api/v1/refused", &[]),
         ("/-/ready", &[]),
         ("/none", &[]),
         ("/api/v1/config", &[("host", "evil.example")]),

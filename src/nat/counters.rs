@@ -14,6 +14,7 @@ use super::ids::{MappingId, NetId};
 use super::last_sender::LastSender;
 use super::net::{Mapping, Net};
 use super::reason::{CloseReason, Direction, DropReason};
+use super::refusals::{Refusals, net_key};
 use super::response_times::ResponseTimes;
 use super::source_sketch::SourceSketch;
 use super::table::Table;
@@ -141,6 +142,10 @@ pub struct Counters {
     nodes: Box<[Arc<NodeCounters>]>,
     nets: Box<[Arc<NetCounters>]>,
     accepted: Box<[Box<[Arc<Counter>]>]>,
+    /// What names each net in `refusals`.
+    net_keys: Box<[u64]>,
+    /// Who was refused of late.
+    pub refusals: Arc<Refusals>,
     /// Datagrams that arrived at an upstream socket from an address that is no server of the table.
     pub stray: Arc<NodeCounters>,
 }
@@ -153,6 +158,8 @@ impl Counters {
             nodes: table.mappings().iter().map(|_| Arc::default()).collect(),
             nets: table.nets().iter().map(|_| Arc::default()).collect(),
             accepted: table.nets().iter().map(accepted).collect(),
+            net_keys: net_keys(table),
+            refusals: Arc::default(),
             stray: Arc::default(),
         }
     }
@@ -176,6 +183,8 @@ impl Counters {
             nodes: new.mappings().iter().map(|is| known(&nodes, &node_name(new, is))).collect(),
             nets: new.nets().iter().map(|net| known(&nets, &&net.name)).collect(),
             accepted: new.nets().iter().map(of_net).collect(),
+            net_keys: net_keys(new),
+            refusals: Arc::clone(&self.refusals),
             stray: Arc::clone(&self.stray),
         }
     }
@@ -190,10 +199,20 @@ impl Counters {
         &self.nets[usize::from(net.0)]
     }
 
+    /// What names a net in [`refusals`](Self::refusals).
+    #[inline]
+    pub(super) fn net_key(&self, net: NetId) -> u64 {
+        self.net_keys[usize::from(net.0)]
+    }
+
     /// Requests that a net accepted, for each of its credentials in their order.
     pub fn accepted(&self, net: NetId) -> &[Arc<Counter>] {
         &self.accepted[usize::from(net.0)]
     }
+}
+
+fn net_keys(table: &Table) -> Box<[u64]> {
+    table.nets().iter().map(|net| net_key(&net.name)).collect()
 }
 
 /// What identifies a net's credentials.

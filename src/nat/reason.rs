@@ -6,7 +6,7 @@ mod words;
 use strum::VariantArray;
 
 /// The direction of a datagram.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, VariantArray)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, VariantArray)]
 pub enum Direction {
     /// From a client to a server node.
     Request,
@@ -201,6 +201,20 @@ impl DropReason {
         Self::UnknownExchange,
         Self::SendFailed,
     ];
+
+    /// Whether the octets alone show that the datagram is no one of the protocol. Scanners cause
+    /// these; a client with a mistyped setting sends well-formed datagrams.
+    pub const fn is_malformed(self) -> bool {
+        matches!(
+            self,
+            Self::TooShort
+                | Self::TooLong
+                | Self::BadHeader
+                | Self::BadRoute
+                | Self::BadLength
+                | Self::BadNdr
+        )
+    }
 
     /// The value of the metrics' label `reason`.
     pub const fn label(self) -> &'static str {

@@ -1,5 +1,5 @@
-//! What the relay reports about its work: sums over the workers' counters, metrics, the drop report,
-//! events, and a history of a day.
+//! What the relay reports about its work: sums over the workers' counters, who was refused, metrics, the
+//! drop report, events, and a history of a day.
 //!
 //! A datagram never gets a log line of its own. The relay counts what strangers send, and
 //! [`DropReport`] writes the numbers into the log from time to time.
@@ -10,6 +10,7 @@ pub mod history;
 mod journal;
 pub mod metrics;
 mod observer;
+pub mod refusals;
 pub mod totals;
 
 pub use drop_report::DropReport;

@@ -37,6 +37,7 @@ mod package;
 mod profinet;
 mod profinet_judge;
 mod prometheus;
+mod refused;
 mod relaying;
 mod reloading;
 mod request;

@@ -9,6 +9,7 @@ mod events;
 mod flows;
 mod history;
 mod nets;
+mod refused;
 mod status;
 mod traffic;
 
@@ -25,6 +26,7 @@ pub(super) use events::events;
 pub(super) use flows::{FlowLists, flows};
 pub(super) use history::history;
 pub(super) use nets::nets;
+pub(super) use refused::refused;
 pub(super) use status::status;
 
 /// An object with one list, made item by item as the client reads it.

@@ -1,9 +1,10 @@
 //! `pnet-nat status`: what the status page shows, in the terminal.
 //!
-//! `snapshot` is what the API answers, `table` how it is shown, and `events` what happened. Here the relay is asked, once or again
-//! and again.
+//! `snapshot` is what the API answers, `table` how it is shown, `refused` both of who is refused, and `events`
+//! what happened. Here the relay is asked, once or again and again.
 
 mod events;
+mod refused;
 mod snapshot;
 mod table;
 
@@ -11,9 +12,9 @@ use std::io::Write;
 use std::process::ExitCode;
 use std::time::{Duration, Instant};
 
-use anyhow::Context;
+use anyhow::bail;
 use clap::builder::BoolishValueParser;
-use serde_json::{Value, json};
+use serde_json::{Map, Value, json};
 
 use super::admin_server::{self, AdminServer, percent_encoded};
 use super::output::{Format, Paint, out};
@@ -22,14 +23,19 @@ use super::signals::Signals;
 use crate::harmless::{harmless, harmless_value};
 
 use events::Events;
+use refused::Refused;
 use snapshot::Snapshot;
 use table::Layout;
+
+/// How many senders are asked for.
+const MOST_REFUSED: usize = 1000;
 
 /// Show nets and nodes of a running relay: which nodes answer, how fast, and what is dropped.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:  pnet-nat status\n\
     \x20         pnet-nat status --watch --net section-1\n\
     \x20         pnet-nat status --events\n\
+    \x20         pnet-nat status --refused\n\
     \x20         pnet-nat status --format json | jq '.nets[].silent_nodes'\n\
     Exit codes: 0 shown, whatever the state; 1 no answer, or not the answer of a relay.")]
 pub(super) struct Args {
@@ -56,12 +62,17 @@ pub(super) struct Args {
         long,
         env = "PNET_NAT_EVENTS",
         value_parser = BoolishValueParser::new(),
-        conflicts_with = "watch"
+        conflicts_with_all = ["watch", "refused"]
     )]
     events: bool,
 
+    /// Show who is refused instead, newest first: the senders of dropped datagrams, for which net and
+    /// node, why, how often and when. With --net, for this net only.
+    #[arg(long, env = "PNET_NAT_REFUSED", value_parser = BoolishValueParser::new())]
+    refused: bool,
+
     /// Show every node; without it, only the silent ones are shown if there are more than 100. With
-    /// --events, show all events; without it, the last 50.
+    /// --events or --refused, show all of them; without it, the last 50.
     #[arg(long, env = "PNET_NAT_FULL", value_parser = BoolishValueParser::new())]
     full: bool,
 
@@ -104,7 +115,7 @@ async fn once(args: &Args, relay: &Relay) -> anyhow::Result<ExitCode> {
     let answer = relay.ask().await?;
     let text = match args.format {
         Format::Json => json_line(&answer),
-        Format::Text => paper(args.full).draw(&relay.read(answer)?, None, &relay.server.url),
+        Format::Text => draw(args, relay, answer, None)?.0,
     };
     out().write_all(text.as_bytes())?;
     Ok(ExitCode::SUCCESS)
@@ -134,10 +145,9 @@ async fn watch(args: &Args, relay: &Relay, interval: Duration) -> anyhow::Result
         let text = match (answer, args.format) {
             (Ok(answer), Format::Json) => json_line(&answer),
             (Ok(answer), Format::Text) => {
-                let seen = relay.read(answer)?;
                 let earlier = before.as_ref().map(|(then, seen)| (now - *then, seen));
-                let text = paper(args.full).draw(&seen, earlier, &relay.server.url);
-                before = Some((now, seen));
+                let (text, seen) = draw(args, relay, answer, earlier)?;
+                before = seen.map(|seen| (now, seen));
                 text
             }
             (Err(error), Format::Json) => json_line(&json!({ "error": format!("{error:#}") })),
@@ -153,36 +163,62 @@ async fn watch(args: &Args, relay: &Relay, interval: Duration) -> anyhow::Result
     }
 }
 
+/// The text, and the state that the next look is compared with.
+fn draw(
+    args: &Args,
+    relay: &Relay,
+    answer: Value,
+    earlier: Option<(Duration, &Snapshot)>,
+) -> anyhow::Result<(String, Option<Snapshot>)> {
+    let answer = harmless_value(answer);
+    if args.refused {
+        return Ok((Refused::read(answer)?.draw(paper(args.full)), None));
+    }
+    let seen = Snapshot::read(answer, relay.net.is_some())?;
+    let text = paper(args.full).draw(&seen, earlier, &relay.server.url);
+    Ok((text, Some(seen)))
+}
+
 fn paper(full: bool) -> Layout {
     Layout { paint: Paint::of_stdout(), width: width(), full }
 }
 
-/// A relay, and which of its nets to show.
+/// A relay, and what of it to show.
 struct Relay {
     server: AdminServer,
     net: Option<String>,
+    /// Whether to show who is refused, and nothing else.
+    refused: bool,
 }
 
 impl Relay {
     fn new(args: &Args) -> anyhow::Result<Self> {
         let server = AdminServer::new(&args.relay, args.timeout)?;
-        Ok(Self { server, net: args.net.clone() })
+        Ok(Self { server, net: args.net.clone(), refused: args.refused })
     }
 
     /// Everything that is shown, as one object.
     async fn ask(&self) -> anyhow::Result<Value> {
-        let query = self.net.as_ref().map(|net| format!("?net={}", percent_encoded(net)));
-        let nets = format!("/api/v1/nets{}", query.unwrap_or_default());
-        let nets = self.server.get(&nets).await?.remove("nets");
-        let nets = nets.with_context(|| self.server.no_api())?;
-        Ok(json!({
-            "status": self.server.get("/api/v1/status").await?,
-            "drop_reasons": self.server.get("/api/v1/drop-reasons").await?,
-            "nets": nets,
-        }))
+        let net = self.net.as_ref().map(|net| format!("&net={}", percent_encoded(net)));
+        let net = net.unwrap_or_default();
+        let mut all = Map::new();
+        if !self.refused {
+            all.append(&mut self.get(&format!("/api/v1/nets?nodes=true{net}"), "nets").await?);
+            all.insert("status".to_owned(), self.server.get("/api/v1/status").await?.into());
+        }
+        let refused = format!("/api/v1/refused?limit={MOST_REFUSED}{net}");
+        all.append(&mut self.get(&refused, "refused").await?);
+        let drop_reasons = self.server.get("/api/v1/drop-reasons").await?;
+        all.insert("drop_reasons".to_owned(), drop_reasons.into());
+        Ok(all.into())
     }
 
-    fn read(&self, answer: Value) -> anyhow::Result<Snapshot> {
-        Snapshot::read(harmless_value(answer), self.net.is_some())
+    /// The answer at a path, which has to have this member.
+    async fn get(&self, path: &str, member: &str) -> anyhow::Result<Map<String, Value>> {
+        let answer = self.server.get(path).await?;
+        if !answer.contains_key(member) {
+            bail!(self.server.no_api());
+        }
+        Ok(answer)
     }
 }

@@ -6,6 +6,8 @@ use anyhow::Context;
 use serde::Deserialize;
 use serde_json::Value;
 
+use super::refused::Row;
+
 /// The state of a relay at one moment.
 #[derive(Debug, Deserialize)]
 pub(super) struct Snapshot {
@@ -13,6 +15,7 @@ pub(super) struct Snapshot {
     /// Explanations by label.
     pub(super) drop_reasons: BTreeMap<String, String>,
     pub(super) nets: Vec<Net>,
+    pub(super) refused: Vec<Row>,
     /// Whether only one net was asked for.
     #[serde(skip)]
     pub(super) is_one_net: bool,

@@ -7,6 +7,7 @@ use std::time::Duration;
 use comfy_table::ContentArrangement;
 
 use super::super::output::{Paint, age, duration, table};
+use super::refused::hint;
 use super::snapshot::{Net, Node, NotInForce, Reload, Snapshot, Status, Traffic};
 
 /// The most nodes that are all listed without `--full`.
@@ -40,6 +41,9 @@ impl Layout {
         if !seen.is_one_net {
             let flows: u64 = seen.nets.iter().map(|net| net.flows).sum();
             let _ = writeln!(text, "Flows: {flows} of {}", seen.status.max_flows);
+        }
+        if let Some(hint) = hint(&seen.refused) {
+            let _ = writeln!(text, "{}", self.paint.bold(&hint));
         }
         let nets = net_rows(seen, earlier);
         let _ = write!(text, "\n{}\n", self.table(net_header(earlier.is_some()), &nets));

@@ -2,8 +2,9 @@
 //!
 //! The caller does the sending and reports it: every datagram is counted once as received, and once
 //! as forwarded or dropped. Before a sender's password was right, only tables of fixed size know of
-//! it: those of the [throttle](super::throttle), and of each drop reason the sketch of its sources
-//! and its last sender. So strangers cannot make memory grow.
+//! it: those of the [throttle](super::throttle), of each drop reason the sketch of its sources and
+//! its last sender, and the table of [who was refused](super::refusals). So strangers cannot make
+//! memory grow.
 
 mod arrival;
 #[cfg(test)]
@@ -19,7 +20,7 @@ use std::net::IpAddr;
 use std::sync::Arc;
 use std::time::Instant;
 
-use foldhash::fast::FixedState;
+use foldhash::fast::{FixedState, SeedableRandomState};
 
 use super::chance::Chance;
 use super::counter::Writer;
@@ -30,6 +31,7 @@ use super::flow_table::Flows;
 use super::idle_wheel::Wheel;
 use super::ids::{FlowId, MappingId};
 use super::reason::{CloseReason, Direction, DropReason};
+use super::refusals::Refused;
 use super::rules::Rules;
 use super::table::Table;
 use super::throttle::Throttle;
@@ -69,6 +71,8 @@ pub struct Core {
     /// closed already.
     pub(super) leaving: BTreeSet<FlowId>,
     pub(super) throttle: Throttle,
+    /// Chooses where a sender stands in the list of who was refused.
+    hash: SeedableRandomState,
     start: Instant,
 }
 
@@ -87,9 +91,10 @@ impl Core {
             wheel: Wheel::new(capacity),
             era: 0,
             going_over: None,
-            upstreams: Upstreams::new(hash, choice, capacity),
+            upstreams: Upstreams::new(hash.clone(), choice, capacity),
             leaving: BTreeSet::new(),
             throttle,
+            hash,
             start,
         }
     }
@@ -163,10 +168,23 @@ impl Core {
         self.flows.iter().filter_map(move |(_, flow)| self.record(flow, now))
     }
 
+    /// Notes who sent a datagram that was dropped, and why.
     #[inline]
-    fn note_source(&self, reason: DropReason, now: Nanos, mapping: MappingId, sender: IpAddr) {
-        let net = self.counters.net(self.rules.table.mapping(mapping).net);
-        net.note_source(&self.writer, reason, now, sender, SOURCE_HASH.hash_one(sender));
+    fn note_source(
+        &self,
+        reason: DropReason,
+        now: Nanos,
+        mapping: MappingId,
+        direction: Direction,
+        sender: IpAddr,
+    ) {
+        let mapping = self.rules.table.mapping(mapping);
+        let (net, node) = (mapping.net, mapping.node_address);
+        let hash = SOURCE_HASH.hash_one(sender);
+        self.counters.net(net).note_source(&self.writer, reason, now, sender, hash);
+        let net = self.counters.net_key(net);
+        let refused = Refused { sender, net, node, direction, reason };
+        self.counters.refusals.note(&self.writer, now, &refused, &self.hash);
     }
 
     /// A time as flows keep it.

@@ -43,7 +43,8 @@ impl Core {
         node.received.add(&self.writer, 1);
         if let Err(reason) = verdict {
             node.dropped(reason).add(&self.writer, 1);
-            self.note_source(reason, now, arrival.mapping, arrival.client.ip());
+            let (mapping, client) = (arrival.mapping, arrival.client.ip());
+            self.note_source(reason, now, mapping, Direction::Request, client);
         }
         verdict
     }

@@ -55,7 +55,8 @@ impl Core {
         if let Err(reason) = verdict {
             node.dropped(reason).add(&self.writer, 1);
             if let Some(mapping) = mapping {
-                self.note_source(reason, self.nanos(now), mapping, server.ip());
+                let now = self.nanos(now);
+                self.note_source(reason, now, mapping, Direction::Response, server.ip());
             }
         }
         verdict

@@ -337,6 +337,15 @@ fn counters_go_on() {
         assert_eq!(counters.net(NetId(0)).flows_opened.get(), 1);
         assert_eq!(counters.node(MappingId(0)).direction(Direction::Request).received.get(), 3);
         let sources = counters.net(NetId(0)).sources(DropReason::PasswordWrong);
-        assert_eq!(SourceSketch::estimate([sources].into_iter()), 1, "who was refused");
+        assert_eq!(SourceSketch::estimate([sources].into_iter()), 1, "how many were refused");
+        let refused: Vec<_> = counters.refusals.list().map(|it| (it.refused, it.count)).collect();
+        let expected = Refused {
+            sender: CLIENT.parse::<SocketAddr>().unwrap().ip(),
+            net: net_key("section-1"),
+            node: 4,
+            direction: Direction::Request,
+            reason: DropReason::PasswordWrong,
+        };
+        assert_eq!(refused, [(expected, 1)]);
     }
 }

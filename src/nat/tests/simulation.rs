@@ -780,6 +780,21 @@ impl World {
         }
         self.open_before = open;
     }
+
+    /// Each dropped datagram is in the list of who was refused, except those that belong to no net.
+    /// The list goes on over reloads.
+    fn check_refused(&self) {
+        let noted = |Worker { counters, .. }: &Worker<_>| {
+            let listed: u64 = counters.refusals.list().map(|refusal| refusal.count).sum();
+            let strays = counters.stray.direction(Direction::Response).dropped_total();
+            listed + counters.refusals.not_listed.get() + strays
+        };
+        let noted: u64 = self.workers.iter().map(noted).sum();
+        assert_eq!(noted, self.reasons.iter().sum::<usize>() as u64);
+        for refusal in self.workers.iter().flat_map(|worker| worker.counters.refusals.list()) {
+            assert!(0 < refusal.first && refusal.first <= refusal.last, "{refusal:?}");
+        }
+    }
 }
 
 /// The public socket of a port. It keeps its name as long as there is one.
@@ -843,6 +858,7 @@ fn run(seed: u64) -> World {
     let seed = Seed(seed);
     let mut world = World::new(seed.0);
     (0..STEPS).for_each(|_| world.step());
+    world.check_refused();
     world
 }
 
