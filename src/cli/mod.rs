@@ -12,6 +12,7 @@ mod healthcheck;
 mod inventory;
 mod node;
 mod output;
+mod password;
 mod progress;
 mod reload;
 mod request;
@@ -74,6 +75,7 @@ struct Cli {
 enum Command {
     Run(run::Args),
     Check(check::Args),
+    Password(password::Args),
     Demo(demo::Args),
     Node(node::Args),
     Request(request::Args),
@@ -114,6 +116,7 @@ pub fn main() -> ExitCode {
     let done = match cli.command {
         Command::Run(args) => run::run(&args),
         Command::Check(args) => check::run(args),
+        Command::Password(args) => password::run(&args),
         Command::Demo(args) => demo::run(args),
         Command::Node(args) => node::run(args),
         Command::Request(args) => request::run(args),
