@@ -9,6 +9,7 @@ mod decode;
 mod demo;
 mod documentation;
 mod healthcheck;
+mod init;
 mod inventory;
 mod node;
 mod output;
@@ -39,6 +40,7 @@ use crate::pnet::wire::Password;
 #[derive(Parser)]
 #[command(name = "pnet-nat", version = env!("PNET_NAT_VERSION"), propagate_version = true)]
 #[command(after_help = "To try it without any set-up:  pnet-nat demo\n\
+    To set it up:  pnet-nat init\n\
     Exit codes: 0 done, 1 failed at run time, 2 bad command line or configuration, 75 not started \
     for a reason that may go away by itself, such as a port in use: try again later.")]
 struct Cli {
@@ -73,6 +75,7 @@ struct Cli {
 
 #[derive(Subcommand)]
 enum Command {
+    Init(init::Args),
     Run(run::Args),
     Check(check::Args),
     Password(password::Args),
@@ -114,6 +117,7 @@ pub fn main() -> ExitCode {
     // The exit code of these two is a verdict, which must not be lost with the output.
     let judges = matches!(cli.command, Command::Demo(_) | Command::Request(_));
     let done = match cli.command {
+        Command::Init(args) => init::run(args),
         Command::Run(args) => run::run(&args),
         Command::Check(args) => check::run(args),
         Command::Password(args) => password::run(&args),

@@ -65,6 +65,8 @@ pub(crate) use ip_net_table::row_as_toml as ip_net_as_toml;
 pub use ip_net_table::{Passwords, load as load_ip_net_table, parse as parse_ip_net_table};
 pub use model::{Admin, Config, Datapath, Log, NotAPrefilter, Prefilter, Runtime};
 #[cfg(feature = "cli")]
+pub(crate) use name::is_name;
+#[cfg(feature = "cli")]
 pub(crate) use new_password::new_password;
 pub use node_range::{NodeRange, NotANodeRange};
 pub use peek::{AdminPlace, admin_place, user};

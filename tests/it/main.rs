@@ -24,6 +24,7 @@ mod faults;
 mod figure_11;
 mod floods;
 mod forged;
+mod init;
 mod inventory;
 mod killed;
 mod kubernetes;
