@@ -40,6 +40,7 @@ mod prometheus;
 mod relaying;
 mod reloading;
 mod request;
+mod rotation;
 mod scale;
 mod status;
 mod status_page;

@@ -29,7 +29,8 @@ fn it_says_what_to_do_next_and_not_the_password() {
 #[test]
 fn what_gets_no_password_is_named_with_the_reason() {
     let folder = folder("");
-    for (path, reason) in [("secrets", "not a regular file"), ("pnet-nat.toml/a", "cannot be made")]
+    for (path, reason) in
+        [("secrets", "not a regular file"), ("pnet-nat.toml/a", "Not a directory")]
     {
         let mut refused = Process::start({
             let mut command = pnet_nat(&["password", path]);

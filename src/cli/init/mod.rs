@@ -63,7 +63,7 @@ pub(super) struct Args {
     #[arg(long, value_name = "NETWORK", value_delimiter = ',', env = "PNET_NAT_ALLOW")]
     allow: Option<Vec<Allowed>>,
 
-    /// Start port: node 3 is reached at this port + 3. [default: the first of 20000, 20200, … that is free
+    /// Start port: node 3 is reached at this port + 3. [default: the first of 20000, 20200 and so on that is free
     /// and that Linux does not lend to other programs]
     #[arg(
         long,

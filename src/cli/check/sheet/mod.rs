@@ -28,7 +28,7 @@ const COLUMNS: [&str; 9] =
 
 /// What the columns mean to whoever fills in an IPNetTable. Text for all formats that have sentences.
 const NOTES: [&str; 4] = [
-    "Each line is one row of the client's IPNetTable. Its index, the IPNetID, is the client's choice: 1 to \
+    "Each net is one row of the client's IPNetTable. Its index, the IPNetID, is the client's choice: 1 to \
      124.",
     "Router: the node address of the router on the client's own net, as the client has it. In a UDPRange net it \
      is never 0. In an IPRange net it is 0 where the client is in that net itself.",
