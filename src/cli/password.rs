@@ -1,7 +1,7 @@
 //! `pnet-nat password`: makes a password file, or puts a new password into one.
 //!
 //! Invariant: whoever reads the file finds the old password or the new one, whole, also after a crash. The
-//! password is never printed.
+//! password is printed with `--show` alone.
 
 use std::ffi::OsStr;
 use std::fs::{self, DirBuilder, File, Metadata, OpenOptions, Permissions};
@@ -11,10 +11,13 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use anyhow::{Context, bail};
+use clap::builder::BoolishValueParser;
+use zeroize::Zeroizing;
 
 use super::complain;
 use super::output::out;
 use crate::config::{new_password, shell_quoted};
+use crate::pnet::wire::Password;
 
 /// Make a password: 8 random characters, in a file that only its owner may read.
 #[derive(Debug, clap::Args)]
@@ -25,25 +28,35 @@ pub(super) struct Args {
     /// The file; what is in it is lost.
     #[arg(value_name = "FILE")]
     file: PathBuf,
+
+    /// Print the password, alone on the standard output; what there is to say then goes to stderr.
+    #[arg(long, env = "PNET_NAT_SHOW", value_parser = BoolishValueParser::new())]
+    show: bool,
 }
 
 /// Makes the password and says what to do next.
 pub(super) fn run(args: &Args) -> anyhow::Result<ExitCode> {
     let path = &args.file;
-    make(path).with_context(|| format!("{path:?} gets no password"))?;
+    let octets = make(path).with_context(|| format!("{path:?} gets no password"))?;
     let file = shell_quoted(path);
-    writeln!(
-        out(),
+    let said = format!(
         "{file} has a new password of 8 random characters. Its owner sees it with `cat {file}`.\n\
          A relay that is at work takes it with `pnet-nat reload`. Under systemd, where it reads copies of its \
          start, that takes `systemctl restart pnet-nat`."
-    )?;
+    );
+    if args.show {
+        complain(format_args!("{said}"));
+        out().write_all(octets.as_slice())?;
+        writeln!(out())?;
+    } else {
+        writeln!(out(), "{said}")?;
+    }
     Ok(ExitCode::SUCCESS)
 }
 
-/// Puts a new password into a file. A file that is there keeps its owner and its group, and the group's
-/// right to read, by which a relay that is not root may read it.
-pub(super) fn make(path: &Path) -> anyhow::Result<()> {
+/// Puts a new password into a file and returns it. A file that is there keeps its owner and its group, and
+/// with the group its right to read, by which a relay that is not root may read it.
+pub(super) fn make(path: &Path) -> anyhow::Result<Zeroizing<[u8; Password::LEN]>> {
     let path = &target(path)?;
     let old = match fs::metadata(path) {
         Ok(old) if !old.is_file() => bail!("it is not a regular file"),
@@ -55,7 +68,8 @@ pub(super) fn make(path: &Path) -> anyhow::Result<()> {
     make_folder(folder)?;
     let name = path.file_name().and_then(OsStr::to_str).unwrap_or("password");
     let beside = folder.join(format!(".{name}.{:08x}", getrandom::u32()?));
-    let done = write(&beside, old.as_ref()).and_then(|()| {
+    let octets = new_password()?;
+    let done = write(&beside, octets.as_slice(), old.as_ref()).and_then(|()| {
         fs::rename(&beside, path)?;
         // The new name is on the disk, too.
         File::open(folder)?.sync_all()
@@ -65,7 +79,7 @@ pub(super) fn make(path: &Path) -> anyhow::Result<()> {
         let _ = fs::remove_file(&beside);
         return Err(error.into());
     }
-    Ok(())
+    Ok(octets)
 }
 
 /// Makes a folder, and those around it, for its owner alone. One that is there stays as it is.
@@ -83,30 +97,32 @@ fn target(path: &Path) -> anyhow::Result<PathBuf> {
 }
 
 /// Writes a password into a new file, with the rights of the old one.
-fn write(path: &Path, old: Option<&Metadata>) -> io::Result<()> {
+fn write(path: &Path, octets: &[u8], old: Option<&Metadata>) -> io::Result<()> {
     let mut file = OpenOptions::new().write(true).create_new(true).mode(0o600).open(path)?;
-    let group_reads = old.map_or(0, |old| old.mode() & 0o040);
-    if let Some(old) = old {
-        keep_owner(&file, old)?;
-    }
+    let group_reads = old.map(|old| group_reads(&file, old)).transpose()?.unwrap_or(0);
     file.set_permissions(Permissions::from_mode(0o600 | group_reads))?;
-    file.write_all(new_password()?.as_slice())?;
+    file.write_all(octets)?;
     file.sync_all()
 }
 
-fn keep_owner(file: &File, old: &Metadata) -> io::Result<()> {
-    let new = file.metadata()?;
-    let is_theirs = (new.uid(), new.gid()) == (old.uid(), old.gid());
-    if is_theirs || fchown(file, Some(old.uid()), Some(old.gid())).is_ok() {
-        return Ok(());
+/// Gives the file the owner and the group of the old one, as far as that may be, and returns the mode bit by
+/// which its group reads it. Another group than the old one gets no right.
+fn group_reads(file: &File, old: &Metadata) -> io::Result<u32> {
+    let theirs = (old.uid(), old.gid());
+    if fchown(file, Some(old.uid()), Some(old.gid())).is_err() {
+        // Whoever owns a file may give it to a group of his own; that it did not go is seen below.
+        let _ = fchown(file, None, Some(old.gid()));
     }
-    let (was, is) = ((old.uid(), old.gid()), (new.uid(), new.gid()));
-    complain(format_args!(
-        "warning: only root gives files away: the file was of user {} and group {}, and is now of user {} \
-         and group {}",
-        was.0, was.1, is.0, is.1
-    ));
-    Ok(())
+    let new = file.metadata()?;
+    let ours = (new.uid(), new.gid());
+    if ours != theirs {
+        complain(format_args!(
+            "warning: only root gives files away: the file was of user {} and group {}, and is now of user {} \
+             and group {}",
+            theirs.0, theirs.1, ours.0, ours.1
+        ));
+    }
+    Ok(if ours.1 == theirs.1 { old.mode() & 0o040 } else { 0 })
 }
 
 #[cfg(test)]

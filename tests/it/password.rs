@@ -1,12 +1,14 @@
 //! `pnet-nat password`, and the remedies that name it, pasted as they are printed.
 
 use std::env;
-use std::fs;
-use std::os::unix::fs::MetadataExt;
+use std::fs::{self, Permissions};
+use std::os::unix::fs::{MetadataExt, PermissionsExt, chown};
 use std::path::Path;
 use std::process::Command;
 
-use crate::harness::{ANNOTATED, Process, folder, pnet_nat};
+use nix::unistd::geteuid;
+
+use crate::harness::{ANNOTATED, Process, folder, left_out, pnet_nat};
 
 #[test]
 fn it_says_what_to_do_next_and_not_the_password() {
@@ -23,6 +25,44 @@ fn it_says_what_to_do_next_and_not_the_password() {
         assert!(said.contains("`pnet-nat reload`") && said.contains(path.to_str().unwrap()));
         assert!(!said.contains(str::from_utf8(&octets).unwrap()), "{said}");
         last = octets;
+    }
+}
+
+#[test]
+fn it_shows_the_password_to_whoever_asks_and_nothing_beside_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("section-1");
+    let mut made = Process::start(pnet_nat(&["password", "--show", path.to_str().unwrap()]));
+    assert_eq!(made.end(), Some(0));
+    let shown = fs::read_to_string(&path).unwrap();
+    assert_eq!(made.stdout(), format!("{shown}\n"));
+    assert!(made.stderr().contains("`pnet-nat reload`"), "{}", made.stderr());
+    assert!(!made.stderr().contains(&shown));
+}
+
+/// Who is not root may give a file to groups of his own alone, and no other group gets to read it.
+#[test]
+fn another_group_than_before_never_reads_the_password() {
+    if !geteuid().is_root() {
+        return left_out("root, which becomes another user");
+    }
+    for (groups, (group, mode)) in
+        [("--clear-groups", (65530, 0o600)), ("--groups=65532", (65532, 0o640))]
+    {
+        let folder = tempfile::tempdir().unwrap();
+        fs::set_permissions(folder.path(), Permissions::from_mode(0o777)).unwrap();
+        let path = folder.path().join("section-1");
+        fs::write(&path, "k7Zq+4Lx").unwrap();
+        fs::set_permissions(&path, Permissions::from_mode(0o640)).unwrap();
+        chown(&path, Some(65533), Some(65532)).unwrap();
+        let mut other = Command::new("setpriv");
+        other.args(["--reuid=65531", "--regid=65530", groups]);
+        other.args([env!("CARGO_BIN_EXE_pnet-nat"), "password"]).arg(&path);
+        let mut other = Process::start(other);
+        assert_eq!(other.end(), Some(0), "{}", other.stderr());
+        assert!(other.stderr().contains("is now of user 65531"), "{}", other.stderr());
+        let found = fs::metadata(&path).unwrap();
+        assert_eq!((found.gid(), found.mode() & 0o777), (group, mode), "{groups}");
     }
 }
 
