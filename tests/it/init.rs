@@ -62,6 +62,11 @@ fn three_commands_lead_from_nothing_to_an_answer() {
             assert!(tested.contains(&format!("node {node} (127.0.0.1:2000{node}): ")), "{tested}");
         }
         stop(relay);
+        // The command's exit code is the client's, and its nodes end with it.
+        let test = command(&said, "(pnet-nat node ").replace(" --retries 5", "");
+        let mut alone = Process::start(shell(folder.path(), &test));
+        assert_eq!(alone.end(), Some(1), "{}", alone.stdout());
+        eventually("the nodes have ended", || UdpSocket::bind("127.17.17.1:34379").ok());
     });
 }
 
@@ -177,6 +182,32 @@ fn what_a_script_forgets_is_named_and_nothing_is_written() {
     assert_eq!(refused.end(), Some(2));
     assert!(refused.stderr().contains("--listen, --nodes, --allow."), "{}", refused.stderr());
     assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0);
+}
+
+/// As for a script at a terminal: what a person would be offered is taken, and nothing is asked.
+#[test]
+fn yes_takes_what_would_be_offered() {
+    let Some(network) = Network::build() else { return };
+    network.edge.ip("route add default via 198.51.100.7");
+    network.at_the_edge(|| {
+        let folder = tempfile::tempdir().unwrap();
+        let mut refused = Terminal::start(&mut shell(
+            folder.path(),
+            "exec pnet-nat init --yes --nodes 1-4 plant",
+        ));
+        assert_eq!(refused.end(), Some(2));
+        assert!(refused.text().contains("--allow."), "{}", refused.text());
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0);
+        let line = "exec pnet-nat init --yes --nodes 1-4 --allow 198.51.100.0/24 plant";
+        let mut init = Terminal::start(&mut shell(folder.path(), line));
+        assert_eq!(init.end(), Some(0), "{}", init.text());
+        assert!(!init.text().contains("Enter takes"), "{}", init.text());
+        let config = fs::read_to_string(folder.path().join("plant/pnet-nat.toml")).unwrap();
+        for key in ["listen = [\"198.51.100.1\"]", "subnet = \"172.17.17.0\"", "start_port = 20000"]
+        {
+            assert!(config.contains(key), "{config}");
+        }
+    });
 }
 
 /// The host decides whether it can be: here the plant's interface is missing.

@@ -147,20 +147,31 @@ impl Offer {
     }
 }
 
+/// How an option that was left out gets its value.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum By {
+    /// Somebody sits at the terminal.
+    Asking,
+    /// Somebody agreed to all that is offered.
+    Consent,
+    /// Nobody can be asked: only what is right without a person.
+    Default,
+}
+
 /// Asks, where there is somebody to ask.
 pub(super) struct Answers<R, W> {
     input: R,
     output: W,
-    on_terminal: bool,
+    by: By,
     missing: Vec<&'static str>,
 }
 
 impl<R: BufRead, W: Write> Answers<R, W> {
-    pub(super) fn new(input: R, output: W, on_terminal: bool) -> Self {
-        Self { input, output, on_terminal, missing: Vec::new() }
+    pub(super) fn new(input: R, output: W, by: By) -> Self {
+        Self { input, output, by, missing: Vec::new() }
     }
 
-    /// Options that have neither a value nor a sound default, where nobody can be asked.
+    /// Options that have neither a value nor what could take its place, where nobody is asked.
     pub(super) fn missing(&self) -> &[&'static str] {
         &self.missing
     }
@@ -168,10 +179,11 @@ impl<R: BufRead, W: Write> Answers<R, W> {
     /// None when something is missing, or when the input ends.
     pub(super) fn plan(&mut self, args: Args) -> io::Result<Option<Plan>> {
         let host = Host::this();
-        if self.on_terminal {
+        if self.by == By::Asking {
             writeln!(
                 self.output,
-                "This host has the addresses {host}.\nEnter takes what is in brackets.\n"
+                "This host has the addresses {host}.\nEnter takes what is in brackets. Without a plant: Ctrl-C, \
+                 then pnet-nat init --try\n"
             )?;
         }
         let listen = self.answer(
@@ -250,9 +262,10 @@ impl<R: BufRead, W: Write> Answers<R, W> {
             return Ok(given);
         }
         let offer = offer();
-        if !self.on_terminal {
+        if self.by != By::Asking {
             let default = match &offer {
                 Offer::Default(text) => parse(text).ok(),
+                Offer::Hint(text) if self.by == By::Consent => parse(text).ok(),
                 Offer::Hint(_) | Offer::None => None,
             };
             if default.is_none() {

@@ -20,7 +20,7 @@ use nix::unistd::geteuid;
 use super::output::out;
 use super::{BAD_USE, check, complain};
 use crate::config::{NodeRange, shell_quoted};
-use answers::{Allowed, Answers, Name, Nodes, Subnet};
+use answers::{Allowed, Answers, By, Name, Nodes, Subnet};
 use files::Files;
 
 /// Make a first configuration: asks what it needs, or takes it from options.
@@ -76,6 +76,11 @@ pub(super) struct Args {
     /// Name of the plant section in metrics, logs and on the status page. [default: section-1]
     #[arg(long, value_name = "NAME", env = "PNET_NAT_NAME")]
     name: Option<Name>,
+
+    /// Ask nothing: take what would be offered for each option that is left out. For --nodes and --allow,
+    /// nothing is.
+    #[arg(long, env = "PNET_NAT_YES", value_parser = BoolishValueParser::new())]
+    yes: bool,
 }
 
 /// What the configuration says.
@@ -148,15 +153,24 @@ fn plan(args: Args) -> anyhow::Result<Option<Plan>> {
     if args.try_out {
         return Ok(Some(try_out(args)));
     }
-    let on_terminal = stdin().is_terminal() && stdout().is_terminal();
-    let mut answers = Answers::new(stdin().lock(), out(), on_terminal);
+    let by = match stdin().is_terminal() && stdout().is_terminal() {
+        _ if args.yes => By::Consent,
+        true => By::Asking,
+        false => By::Default,
+    };
+    let mut answers = Answers::new(stdin().lock(), out(), by);
     let plan = answers.plan(args)?;
     let missing = answers.missing();
     if !missing.is_empty() {
         let options = missing.join(", ");
+        let why = if by == By::Consent {
+            "nothing fits for them"
+        } else {
+            "there is no terminal to ask at"
+        };
         complain(format_args!(
-            "pnet-nat: there is no terminal to ask at, and these options are missing: {options}. See pnet-nat \
-             init --help; pnet-nat init --try needs none"
+            "pnet-nat: these options are missing, and {why}: {options}. See pnet-nat init --help; pnet-nat \
+             init --try needs none"
         ));
         return Ok(None);
     }
@@ -194,7 +208,8 @@ fn next(plan: &Plan, files: &Files, try_out: bool) -> String {
     let test = match try_out {
         true => format!(
             "Then, in another terminal, a client's requests to simulated nodes:\n\n  \
-             (pnet-nat node --listen {} --password-file {secret} > /dev/null & {request} --retries 5; kill $!)\n",
+             (pnet-nat node --listen {} --password-file {secret} > /dev/null & trap 'kill $!' EXIT; {request} \
+             --retries 5)\n",
             subnet.of_nodes(nodes)
         ),
         false => format!(

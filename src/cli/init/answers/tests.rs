@@ -17,7 +17,8 @@ fn args(options: &[&str]) -> Args {
 /// The plan and what was printed, at a terminal where this is typed.
 fn typed(options: &[&str], typed: &str) -> (Option<Plan>, String) {
     let mut printed = Vec::new();
-    let plan = Answers::new(typed.as_bytes(), &mut printed, true).plan(args(options)).unwrap();
+    let plan =
+        Answers::new(typed.as_bytes(), &mut printed, By::Asking).plan(args(options)).unwrap();
     (plan, String::from_utf8(printed).unwrap())
 }
 
@@ -34,7 +35,7 @@ const ALL: [&str; 8] = [
 
 #[test]
 fn options_are_enough_without_a_terminal() {
-    let mut answers = Answers::new(&b""[..], Vec::new(), false);
+    let mut answers = Answers::new(&b""[..], Vec::new(), By::Default);
     let plan = answers.plan(args(&ALL)).unwrap().unwrap();
     assert_eq!(plan.nodes.to_string(), "1-4,33");
     assert_eq!((plan.name.to_string().as_str(), answers.missing()), ("section-1", &[][..]));
@@ -43,10 +44,23 @@ fn options_are_enough_without_a_terminal() {
 
 #[test]
 fn what_is_missing_without_a_terminal_is_named() {
-    let mut answers = Answers::new(&b"yes\n"[..], Vec::new(), false);
+    let mut answers = Answers::new(&b"yes\n"[..], Vec::new(), By::Default);
     assert!(answers.plan(args(&[])).unwrap().is_none());
     assert_eq!(answers.missing(), ["--listen", "--subnet", "--nodes", "--allow"]);
     assert!(answers.output.is_empty());
+}
+
+/// Of what is offered for the host's own side something fits, or else it is missing; for the rest nothing is.
+#[test]
+fn who_agrees_to_all_that_is_offered_is_not_asked() {
+    let mut answers = Answers::new(&b""[..], Vec::new(), By::Consent);
+    assert!(answers.plan(args(&[])).unwrap().is_none());
+    assert!(answers.missing().ends_with(&["--nodes", "--allow"]), "{:?}", answers.missing());
+    let mut answers = Answers::new(&b""[..], Vec::new(), By::Consent);
+    let offer = || Offer::Hint("172.17.17.0".to_owned());
+    let taken = answers.answer(None, "--subnet", "Subnet", offer, str::parse::<Subnet>).unwrap();
+    assert_eq!(taken, Some(Subnet([172, 17, 17, 0].into())));
+    assert!(answers.output.is_empty() && answers.missing().is_empty());
 }
 
 #[test]
