@@ -10,6 +10,7 @@ mod admin;
 mod audit;
 mod bad_input;
 mod check;
+mod client_sheet;
 mod command_line;
 mod commands;
 mod confinement;
