@@ -10,9 +10,11 @@ mod demo;
 mod documentation;
 mod flows;
 mod healthcheck;
+mod init;
 mod inventory;
 mod node;
 mod output;
+mod password;
 mod progress;
 mod reload;
 mod request;
@@ -40,6 +42,7 @@ use crate::pnet::wire::Password;
 #[derive(Parser)]
 #[command(name = "pnet-nat", version = env!("PNET_NAT_VERSION"), propagate_version = true)]
 #[command(after_help = "To try it without any set-up:  pnet-nat demo\n\
+    To set it up:  pnet-nat init\n\
     Exit codes: 0 done, 1 failed at run time, 2 bad command line or configuration, 75 not started \
     for a reason that may go away by itself, such as a port in use: try again later.")]
 struct Cli {
@@ -74,8 +77,10 @@ struct Cli {
 
 #[derive(Subcommand)]
 enum Command {
+    Init(init::Args),
     Run(run::Args),
     Check(check::Args),
+    Password(password::Args),
     Demo(demo::Args),
     Node(node::Args),
     Request(request::Args),
@@ -118,8 +123,10 @@ pub fn main() -> ExitCode {
     // The exit code of these two is a verdict, which must not be lost with the output.
     let judges = matches!(cli.command, Command::Demo(_) | Command::Request(_));
     let done = match cli.command {
+        Command::Init(args) => init::run(args),
         Command::Run(args) => run::run(&args),
         Command::Check(args) => check::run(args),
+        Command::Password(args) => password::run(&args),
         Command::Demo(args) => demo::run(args),
         Command::Node(args) => node::run(args),
         Command::Request(args) => request::run(args),

@@ -73,8 +73,8 @@ mod tests {
         }
     }
 
-    /// Both random octets and passwords made as the README says. One in 700 of the latter has only
-    /// letters of one case by chance.
+    /// Both random octets and random characters. One in 700 of the latter has only letters of one case by
+    /// chance.
     #[test]
     fn what_is_random_is_not() {
         const BASE64: &[u8] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";

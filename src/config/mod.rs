@@ -23,6 +23,8 @@ mod ip_net_table;
 mod model;
 mod name;
 mod net;
+#[cfg(feature = "cli")]
+mod new_password;
 mod node_range;
 mod odd;
 mod overlap;
@@ -57,9 +59,15 @@ use toml_table::Section;
 pub(crate) use changes::runs;
 pub use changes::{Changes, NotInForce};
 #[cfg(feature = "cli")]
+pub(crate) use file::shell_quoted;
+#[cfg(feature = "cli")]
 pub(crate) use ip_net_table::row_as_toml as ip_net_as_toml;
 pub use ip_net_table::{Passwords, load as load_ip_net_table, parse as parse_ip_net_table};
 pub use model::{Admin, Config, Datapath, Log, NotAPrefilter, Prefilter, Runtime};
+#[cfg(feature = "cli")]
+pub(crate) use name::is_name;
+#[cfg(feature = "cli")]
+pub(crate) use new_password::new_password;
 pub use node_range::{NodeRange, NotANodeRange};
 pub use peek::{AdminPlace, admin_place, user};
 pub use report::{Fault, Faults, Warning};

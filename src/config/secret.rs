@@ -78,7 +78,13 @@ impl SecretError {
 
 /// A command that writes a new, random password of 8 characters into a file.
 pub(super) fn make_password(path: &Path) -> String {
-    make(path, "head -c 6 /dev/urandom | base64 | tr -d '\\n'")
+    // What begins with a hyphen would be an option.
+    let path = if path.as_os_str().as_encoded_bytes().starts_with(b"-") {
+        &Path::new(".").join(path)
+    } else {
+        path
+    };
+    format!("`pnet-nat password {}`", shell_quoted(path))
 }
 
 /// A shell command that writes the output of another one into a file that only its owner can read. Makes

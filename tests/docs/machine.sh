@@ -97,7 +97,7 @@ END
 # All pages but the README begin with a service that was set up as the README has it.
 if [ "$page" != README.md ]; then
     sed -i '/^\[\[server\]\]/,/^# ── Bounds/{/^# ── Bounds/!d}' /etc/pnet-nat/pnet-nat.toml
-    (umask 077; head -c 6 /dev/urandom | base64 | tr -d '\n' >/etc/pnet-nat/secrets/section-1)
+    pnet-nat password /etc/pnet-nat/secrets/section-1
     systemctl enable --now pnet-nat
 fi
 

@@ -70,8 +70,8 @@ fn a_configuration_that_is_not_there_or_cannot_be_read() {
 fn a_password_of_7_or_9_octets() {
     let site = Site::claim();
     for (octets, problem, remedy) in [
-        ("s3cr3t-", "has 7 octets, and a password has 8", "head -c 6 /dev/urandom"),
-        ("s3cr3t-AB", "has more than the 8 octets of a password", "head -c 6 /dev/urandom"),
+        ("s3cr3t-", "has 7 octets, and a password has 8", "`pnet-nat password "),
+        ("s3cr3t-AB", "has more than the 8 octets of a password", "`pnet-nat password "),
         ("s3cr3t-A\n", "has a line break (LF) after the 8 octets", "truncate --size=8 "),
     ] {
         let folder = folder(&site.configuration(&Settings::default()));

@@ -231,3 +231,22 @@ fn files_are_read_with_the_rights_of_the_user() {
     assert_eq!(other.end(), Some(2));
     assert!(other.stderr().contains("check as root"), "{}", other.stderr());
 }
+
+/// A file that is made of it holds the sheet alone; what there is to say goes to stderr.
+#[test]
+fn the_clients_sheet_is_all_that_is_printed() {
+    let folder = folder(&annotated().replace("public_port = 20200", "public_port = 7"));
+    for (options, beginning) in [
+        (&["--client-sheet"][..], "# Set up a P-NET client\n\n| Net "),
+        (&["--client-sheet", "csv"], "Net,IPAddr,UDPPort,UsePW,Router,Nettype,"),
+        (&["--client-sheet", "html"], "<!DOCTYPE html>\n"),
+    ] {
+        let options = [&["--config", "pnet-nat.toml"][..], options].concat();
+        let mut checked = check(folder.path(), &options);
+        assert_eq!(checked.end(), Some(0));
+        let (sheet, said) = (checked.stdout(), checked.stderr());
+        assert!(sheet.starts_with(beginning) && sheet.contains("--start-port 20000"), "{sheet}");
+        assert!(!sheet.contains("press") && !sheet.contains("NAT table"), "{sheet}");
+        assert!(said.contains("note: press: no row reaches node 7"), "{said}");
+    }
+}

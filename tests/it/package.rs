@@ -129,6 +129,7 @@ fn the_package_is_installed_run_and_removed() {
     confined(&service);
     reloaded(&service);
     passwords_changed(&service);
+    passwords_changed_without_a_restart(&service);
     watched(&service);
     removed(&service);
 }
@@ -271,6 +272,29 @@ fn passwords_changed(service: &Service) {
         (withdrawn == serde_json::json!(["section-1: second"])).then_some(())
     });
     assert!(!answers(new) && service.answers("1-5"));
+}
+
+/// After the step of deploy/systemd, which is typed as it is written there, a reload reads the files themselves.
+fn passwords_changed_without_a_restart(service: &Service) {
+    let Service(machine) = service;
+    let page = include_str!("../../deploy/systemd/README.md");
+    let (_, step) = page.split_once("## Passwords without a restart\n").unwrap();
+    let step = step.split("```").nth(1).unwrap().strip_prefix("sh\n").unwrap();
+    machine.shell(step);
+    let (id, second) = (service.property("MainPID"), "/etc/pnet-nat/secrets/second");
+    assert!(service.answers("1-5"));
+
+    let answers = |password| service.answers_with(password, "20000", "1");
+    machine.shell(&format!("printf '{SECOND_PASSWORD}' >> /etc/pnet-nat/pnet-nat.toml"));
+    machine.run(&["systemctl", "reload", "pnet-nat"]);
+    assert!(answers("/tmp/new"));
+    machine.run(&["pnet-nat", "password", second]);
+    machine.run(&["install", "-m", "600", second, "/tmp/newest"]);
+    machine.run(&["systemctl", "reload", "pnet-nat"]);
+    assert!(answers("/tmp/newest") && !answers("/tmp/new"));
+    assert_eq!(service.property("MainPID"), id, "it was not restarted");
+    service.edit("/^# second/,$d");
+    machine.run(&["systemctl", "reload", "pnet-nat"]);
 }
 
 const CREDENTIAL: &str = "[Service]\nLoadCredential=second:/etc/pnet-nat/secrets/second\n";

@@ -16,7 +16,8 @@ const ENTER: &str = "\u{e007}";
 const TAB: &str = "\u{e004}";
 
 /// The accessibility checker axe-core, at the place where `.ci/run` puts it.
-const AXE: &str = concat!(env!("CARGO_TARGET_TMPDIR"), "/axe/axe_playwright_python/axe.min.js");
+pub(crate) const AXE: &str =
+    concat!(env!("CARGO_TARGET_TMPDIR"), "/axe/axe_playwright_python/axe.min.js");
 const SCREENSHOTS: &str = concat!(env!("CARGO_TARGET_TMPDIR"), "/status-page");
 
 /// `pnet-nat node` for one node.

@@ -3,6 +3,7 @@
 //! Opens none of the relay's ports. Faults and warnings go to stderr, tables to stdout.
 
 mod client;
+mod sheet;
 
 use std::io::Write;
 use std::net::{IpAddr, SocketAddr};
@@ -19,6 +20,8 @@ use crate::config::{self, Config, Warning};
 use crate::nat::{Mapping, Net, NetKind};
 use crate::sandbox::{self, User, UserError};
 
+pub(super) use sheet::{SheetFormat, sheet};
+
 /// Check a configuration: show every fault, or the NAT table and the clients' IPNetTable rows.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:  pnet-nat check --config /etc/pnet-nat/pnet-nat.toml")]
@@ -29,23 +32,51 @@ pub(super) struct Args {
     /// Show one line for each node, instead of one for each run of consecutive nodes.
     #[arg(long, env = "PNET_NAT_FULL", value_parser = BoolishValueParser::new())]
     full: bool,
+    /// Print the client's sheet instead: what whoever sets up a client enters, as csv, md (if left out) or
+    /// html. It names passwords and never has one.
+    #[arg(
+        long,
+        value_name = "FORMAT",
+        value_enum,
+        num_args = 0..=1,
+        default_missing_value = "md",
+        env = "PNET_NAT_CLIENT_SHEET",
+        hide_possible_values = true
+    )]
+    client_sheet: Option<SheetFormat>,
 }
 
 /// Prints all faults and returns exit code 2, or prints the warnings, the NAT table and the
 /// clients' IPNetTable rows.
 pub(super) fn run(args: Args) -> anyhow::Result<ExitCode> {
-    let (config, warnings) = match read(&args.config) {
-        Ok(sound) => sound,
+    let config = match judged(&args.config) {
+        Ok(config) => config,
         Err(code) => return Ok(code),
     };
+    let text = match args.client_sheet {
+        None => summary(&config, args.full),
+        Some(format) => {
+            // The table that people look at says it itself; a file for clients does not have it.
+            for remark in client::remarks_on_servers(&config) {
+                complain(format_args!("note: {remark}"));
+            }
+            sheet(&config, format)
+        }
+    };
+    out().write_all(text.as_bytes())?;
+    Ok(ExitCode::SUCCESS)
+}
+
+/// A configuration without faults, of which warnings were printed; otherwise the faults were.
+pub(super) fn judged(path: &Path) -> Result<Config, ExitCode> {
+    let (config, warnings) = read(path)?;
     for warning in warnings {
         complain(format_args!("warning: {warning}"));
     }
     for link in sandbox::movable_links(&config.files) {
         complain(format_args!("warning: {link}"));
     }
-    out().write_all(summary(&config, args.full).as_bytes())?;
-    Ok(ExitCode::SUCCESS)
+    Ok(config)
 }
 
 /// Reads it as the relay would: with the rights of `[runtime] user`, and without root's right to read any
@@ -113,7 +144,7 @@ fn for_clients(config: &Config) -> String {
 }
 
 /// PAS 5.2.6: the public port of each server.
-fn nat_table(config: &Config, full: bool) -> Table {
+pub(super) fn nat_table(config: &Config, full: bool) -> Table {
     let mut table = plain_table(["Public port", "Server", "Node", "Net"]);
     let follows =
         |a: &Mapping, b: &Mapping| !full && a.net == b.net && a.node_address + 1 == b.node_address;

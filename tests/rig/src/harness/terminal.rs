@@ -1,7 +1,7 @@
 //! A process on a real terminal of 80 columns and 24 lines.
 
 use std::fs::File;
-use std::io::Read;
+use std::io::{Read, Write};
 use std::process::{Child, Command, Stdio};
 use std::sync::{Arc, Mutex};
 use std::thread::{self, JoinHandle};
@@ -17,6 +17,7 @@ use super::eventually;
 #[derive(Debug)]
 pub struct Terminal {
     child: Child,
+    keyboard: File,
     written: Arc<Mutex<Vec<u8>>>,
     reader: Option<JoinHandle<()>>,
 }
@@ -33,6 +34,7 @@ impl Terminal {
         command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
         let written: Arc<Mutex<Vec<u8>>> = Arc::default();
         let (shared, mut master) = (Arc::clone(&written), File::from(pair.master));
+        let keyboard = master.try_clone().unwrap();
         let reader = thread::spawn(move || {
             let mut octets = [0; 4096];
             // The read fails as soon as no process can write to the terminal any more.
@@ -40,7 +42,13 @@ impl Terminal {
                 shared.lock().unwrap().extend(&octets[..length]);
             }
         });
-        Self { child, written, reader: Some(reader) }
+        Self { child, keyboard, written, reader: Some(reader) }
+    }
+
+    /// Types a line and Enter, once the process has asked for it by a text that ends like this.
+    pub fn answer(&mut self, question: &str, line: &str) {
+        eventually(question, || self.text().ends_with(question).then_some(()));
+        writeln!(self.keyboard, "{line}").unwrap();
     }
 
     /// Sends a signal to the process.
