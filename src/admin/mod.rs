@@ -1,6 +1,6 @@
 //! The admin server: metrics, health, a status page and an API for people and monitoring.
 //!
-//! It only reads, except for a reload where the configuration allows one. Whatever its clients do, the
+//! It only reads, except for a reload and for requests to a node, where the configuration allows them. Whatever its clients do, the
 //! datapath goes on and a probe is answered: a connection has one request, the number of connections, the
 //! time and the buffers are limited, and an answer is made piece by piece as it is read.
 
@@ -60,7 +60,7 @@ const GRACE: Duration = Duration::from_secs(1);
 const ACCEPT_PAUSE: Duration = Duration::from_secs(1);
 
 /// The paths, and what each is for.
-const ROUTES: [(&str, &str); 10] = [
+const ROUTES: [(&str, &str); 11] = [
     ("/", "the status page, for browsers"),
     ("/metrics", "for Prometheus"),
     ("/-/healthy", "200 as long as the process runs"),
@@ -71,6 +71,7 @@ const ROUTES: [(&str, &str); 10] = [
     ("/api/v1/drop-reasons", "why datagrams are dropped, in plain words"),
     ("/api/v1/flows?limit=1000", "open flows, at most 10000"),
     ("/api/v1/config", "the configuration in force, without passwords"),
+    ("/api/v1/probe?net=NAME&node=N", "POST: asks a node, where [admin] probe allows it"),
 ];
 
 /// Answers requests until `shutdown` completes, then waits up to a second for the open ones. Without
@@ -118,6 +119,7 @@ pub fn routes(router: Arc<Router>, reloader: Option<Reloader>, sandbox: Sandbox)
         scrapes: Scrapes::default(),
         turn: Turn::default(),
         flow_lists: api::FlowLists::default(),
+        probes: api::Probes::default(),
     };
     axum::Router::new()
         .route("/", get(page::html))
@@ -133,6 +135,7 @@ pub fn routes(router: Arc<Router>, reloader: Option<Reloader>, sandbox: Sandbox)
         .route("/api/v1/drop-reasons", get(api::drop_reasons))
         .route("/api/v1/flows", get(api::flows))
         .route("/api/v1/config", get(api::config))
+        .route("/api/v1/probe", post(api::probe))
         .fallback(not_found)
         .layer(middleware::from_fn_with_state(shared.clone(), access::control))
         .with_state(shared)
@@ -148,6 +151,7 @@ struct Shared {
     scrapes: Scrapes,
     turn: Turn,
     flow_lists: api::FlowLists,
+    probes: api::Probes,
 }
 
 async fn answer(stream: TcpStream, routes: axum::Router) -> hyper::Result<()> {

@@ -12,6 +12,7 @@ mod healthcheck;
 mod inventory;
 mod node;
 mod output;
+mod probe;
 mod progress;
 mod reload;
 mod request;
@@ -81,6 +82,7 @@ enum Command {
     Decode(decode::Args),
     Inventory(inventory::Args),
     Status(status::Args),
+    Probe(probe::Args),
     Reload(reload::Args),
     Healthcheck(healthcheck::Args),
     Completions(documentation::Completions),
@@ -109,8 +111,8 @@ pub fn main() -> ExitCode {
     }
     let usual = if service { LogLevel::Info } else { LogLevel::Warn };
     logging::init(cli.log_format, cli.log_level.unwrap_or(usual), service);
-    // The exit code of these two is a verdict, which must not be lost with the output.
-    let judges = matches!(cli.command, Command::Demo(_) | Command::Request(_));
+    // The exit code of these is a verdict, which must not be lost with the output.
+    let judges = matches!(cli.command, Command::Demo(_) | Command::Request(_) | Command::Probe(_));
     let done = match cli.command {
         Command::Run(args) => run::run(&args),
         Command::Check(args) => check::run(args),
@@ -121,6 +123,7 @@ pub fn main() -> ExitCode {
         Command::Decode(args) => decode::run(args),
         Command::Inventory(args) => inventory::run(&args),
         Command::Status(args) => status::run(args),
+        Command::Probe(args) => probe::run(&args),
         Command::Reload(args) => reload::run(&args),
         Command::Healthcheck(args) => healthcheck::run(args),
         Command::Completions(args) => documentation::completions(&args),

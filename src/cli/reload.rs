@@ -177,7 +177,7 @@ impl Relay {
 }
 
 /// An address to reach the server at; it may listen on all addresses.
-fn reachable(mut listen: SocketAddr) -> SocketAddr {
+pub(super) fn reachable(mut listen: SocketAddr) -> SocketAddr {
     if listen.ip().is_unspecified() {
         let loopback: IpAddr = match listen {
             SocketAddr::V4(_) => Ipv4Addr::LOCALHOST.into(),

@@ -124,6 +124,7 @@ pub(super) fn admin(mut section: Section<'_>) -> Option<Admin> {
     let token = token::token_file(&token_file);
     let open_metrics = section.key("metrics_without_token", "true");
     let reload = section.key("reload", "true");
+    let probe = section.key("probe", "true");
     section.finish();
     let beyond = !listen.ip().to_canonical().is_loopback();
     if enabled && beyond && !token_file.is_there() {
@@ -136,5 +137,6 @@ pub(super) fn admin(mut section: Section<'_>) -> Option<Admin> {
     }
     let metrics_without_token = open_metrics.boolean().unwrap_or(false);
     let reload = reload.boolean().unwrap_or(false);
-    enabled.then_some(Admin { listen, token, metrics_without_token, reload })
+    let probe = probe.boolean().unwrap_or(false);
+    enabled.then_some(Admin { listen, token, metrics_without_token, reload, probe })
 }

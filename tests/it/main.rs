@@ -32,6 +32,7 @@ mod moving;
 mod namespaces;
 mod nat;
 mod package;
+mod probe;
 mod profinet;
 mod profinet_judge;
 mod prometheus;

@@ -44,6 +44,8 @@ struct ConfigInForce<'a> {
     metrics_without_token: bool,
     /// Whether `POST /-/reload` is enabled.
     admin_reload: bool,
+    /// Whether `POST /api/v1/probe` is enabled.
+    admin_probe: bool,
 }
 
 #[derive(Serialize)]
@@ -55,7 +57,7 @@ struct NetConfig<'a> {
 
 impl<'a> ConfigInForce<'a> {
     fn of(config: &'a Config) -> Self {
-        let Config { listen, table, limits, datapath, log, runtime, admin, files: _ } = config;
+        let Config { listen, table, limits, datapath, log, runtime, admin, .. } = config;
         let nets = table.net_ids().map(|id| NetConfig {
             rules: NetRules::of(table.net(id)),
             nodes: table.mappings_of(id).map(|m| Element::of(table.mapping(m))).collect(),
@@ -79,6 +81,7 @@ impl<'a> ConfigInForce<'a> {
             admin_has_token: admin.as_ref().is_some_and(|admin| admin.token.is_some()),
             metrics_without_token: admin.as_ref().is_some_and(|a| a.metrics_without_token),
             admin_reload: admin.as_ref().is_some_and(|admin| admin.reload),
+            admin_probe: admin.as_ref().is_some_and(|admin| admin.probe),
         }
     }
 }

@@ -7,6 +7,7 @@ mod config;
 mod drop_reasons;
 mod flows;
 mod nets;
+mod probe;
 mod status;
 mod traffic;
 
@@ -21,6 +22,7 @@ pub(super) use config::config;
 pub(super) use drop_reasons::drop_reasons;
 pub(super) use flows::{FlowLists, flows};
 pub(super) use nets::nets;
+pub(super) use probe::{Probes, probe};
 pub(super) use status::status;
 
 /// An object with one list, made item by item as the client reads it.

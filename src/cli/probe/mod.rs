@@ -1,0 +1,321 @@
+//! `pnet-nat probe`: what is wrong between clients, router and nodes, found on the router.
+//!
+//! `host` reads what the system says, and `relay` what a running relay says; `net`, `ports`, `firewall`,
+//! `conntrack` and `machine` are the checks, each a function of what was read. Those of a node are in
+//! [`crate::probe`]. Invariant: nothing is changed, and a node gets one harmless request at a time.
+
+mod conntrack;
+mod firewall;
+mod host;
+mod machine;
+mod net;
+mod ports;
+mod print;
+mod relay;
+
+use std::io::Write;
+use std::net::{IpAddr, SocketAddr};
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::time::{Duration, SystemTime};
+
+use tokio::sync::Semaphore;
+use tokio::task::JoinSet;
+use tokio::time::Instant;
+
+use super::admin_server::{self, AdminServer};
+use super::output::{Format, Paint, out};
+use super::progress::{ProgressLine, bar};
+use super::reload::reachable;
+use super::{BAD_USE, complain, told};
+use crate::config::{self, Config};
+use crate::datapath::descriptors_needed;
+use crate::harmless::harmless_json;
+use crate::nat::{Mapping, NetId};
+use crate::peer::until;
+use crate::probe::{Asked, Check, Report, Verdict};
+use host::{Interface, source_towards};
+use relay::Relay;
+
+/// Nodes that are asked at the same time. Each has its own socket.
+const AT_ONCE: usize = 64;
+/// How long the relay may take for an answer.
+const RELAY_TIME: Duration = Duration::from_secs(3);
+/// Addresses that stand for the Internet: reserved for documentation.
+const FAR: [&str; 2] = ["203.0.113.1:9", "[2001:db8::1]:9"];
+
+/// Find out on the router why there is no answer: interfaces, routes, firewall, ports, and each node.
+///
+/// Each check is a line: good, doubtful, bad, or unknown where it cannot be told from here, and what to do
+/// about it. Nothing is changed. Each node is asked with a request that has no data, once with each password
+/// of its net.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Example:  pnet-nat probe --config /etc/pnet-nat/pnet-nat.toml\n\
+    \x20         pnet-nat probe --config /etc/pnet-nat/pnet-nat.toml --net section-1 --node 3\n\
+    As root it sees more: the firewall, and whose the ports are. Exit codes: 0 nothing is bad, 1 something \
+    is, 2 bad command line or configuration.")]
+pub(super) struct Args {
+    /// The relay's configuration file.
+    #[arg(long, value_name = "FILE", env = "PNET_NAT_CONFIG")]
+    config: PathBuf,
+
+    #[command(flatten)]
+    relay: admin_server::Options,
+
+    /// Only this net.
+    #[arg(long, value_name = "NAME", env = "PNET_NAT_NET")]
+    net: Option<String>,
+
+    /// Only the node with this node address.
+    #[arg(long, value_name = "NODE", env = "PNET_NAT_NODE")]
+    node: Option<u8>,
+
+    /// How long to wait for each answer of a node.
+    #[arg(
+        long,
+        value_name = "TIME",
+        default_value = "1s",
+        value_parser = humantime::parse_duration,
+        env = "PNET_NAT_TIMEOUT"
+    )]
+    timeout: Duration,
+
+    /// Output: a line for each check, or one JSON object.
+    #[arg(long, value_enum, default_value_t = Format::Text, env = "PNET_NAT_FORMAT")]
+    format: Format,
+}
+
+/// Makes all checks and prints them. The exit code is 1 when one of them is bad.
+pub(super) fn run(args: &Args) -> anyhow::Result<ExitCode> {
+    // The host's routes are checked here, and do not refuse the configuration.
+    let read = config::read_text(&args.config).and_then(|text| config::parse(&text, &args.config));
+    let (config, _) = match told(read) {
+        Ok(read) => read,
+        Err(code) => return Ok(code),
+    };
+    let mappings = match selected(args, &config) {
+        Ok(mappings) => mappings,
+        Err(message) => {
+            complain(format_args!("pnet-nat: {message}"));
+            return Ok(ExitCode::from(BAD_USE));
+        }
+    };
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+    let report = Report::new(runtime.block_on(probe(args, &config, &mappings)));
+    let text = match args.format {
+        Format::Text => print::text(&report, Paint::of_stdout()),
+        Format::Json => harmless_json(&serde_json::to_string(&report)?) + "\n",
+    };
+    out().write_all(text.as_bytes())?;
+    Ok(if report.verdict == Verdict::Bad { ExitCode::FAILURE } else { ExitCode::SUCCESS })
+}
+
+/// The mappings that are probed; otherwise what is wrong with the command line.
+fn selected(args: &Args, config: &Config) -> Result<Vec<Mapping>, String> {
+    let table = &config.table;
+    let is_wanted =
+        |net: &NetId| args.net.as_ref().is_none_or(|name| table.net(*net).name == *name);
+    let nets: Vec<_> = table.net_ids().filter(is_wanted).collect();
+    if let (true, Some(name)) = (nets.is_empty(), &args.net) {
+        return Err(format!("no net of {:?} has the name {name:?}", args.config));
+    }
+    let mappings = nets.into_iter().flat_map(|net| table.mappings_of(net));
+    let mappings = mappings.map(|mapping| table.mapping(mapping));
+    let is_wanted = |mapping: &Mapping| args.node.is_none_or(|node| mapping.node_address == node);
+    let mappings: Vec<_> = mappings.filter(is_wanted).collect();
+    match args.node.filter(|_| mappings.is_empty()) {
+        Some(node) => Err(format!("no net has a node {node}, or not the one of --net")),
+        None => Ok(mappings),
+    }
+}
+
+/// All checks, from the machine to the nodes.
+async fn probe(args: &Args, config: &Config, mappings: &[Mapping]) -> Vec<Check> {
+    let relay = ask_relay(args, config).await;
+    let mut checks = match &relay {
+        Some(Ok(relay)) => relay.judge(),
+        Some(Err(error)) => vec![relay::no_answer(error)],
+        None => vec![relay::no_admin_server()],
+    };
+    let relay = relay.and_then(Result::ok);
+    let host = Host::read();
+    checks.extend(host.machine(config));
+    for mappings in mappings.chunk_by(|a, b| a.net == b.net) {
+        checks.extend(host.net(config, mappings));
+        let name = &config.table.net(mappings[0].net).name;
+        checks.extend(relay.iter().flat_map(|relay| relay.judge_net(name)));
+    }
+    let asked: Vec<_> = mappings.iter().map(|mapping| Asked::of(config, mapping)).collect();
+    let seen = ask_nodes(asked, args.timeout).await;
+    for (mapping, of_node) in mappings.iter().zip(seen) {
+        checks.extend(of_node.checks);
+        let net = &config.table.net(mapping.net).name;
+        let counted = relay.as_ref().and_then(|relay| relay.counted(net, mapping.node_address));
+        checks.extend(counted.iter().flat_map(|counted| counted.judge(&of_node.subject)));
+    }
+    checks
+}
+
+/// Asks the relay; none where it has no admin server.
+async fn ask_relay(args: &Args, config: &Config) -> Option<anyhow::Result<Relay>> {
+    let place = config::read_text(&args.config).map(|text| config::admin_place(&text)).ok()?;
+    let listen = config.admin.as_ref().map(|admin| reachable(admin.listen));
+    let listen = listen.or(args.relay.url.is_some().then_some(place.listen))?;
+    let beside = args.config.parent().unwrap_or(Path::new(""));
+    let token_file = place.token_file.map(|file| beside.join(file));
+    let server = AdminServer::new(&args.relay, listen, token_file.as_deref(), RELAY_TIME);
+    Some(match server {
+        Ok(server) => Relay::ask(&server).await,
+        Err(error) => Err(error),
+    })
+}
+
+/// The checks of a node.
+struct OfNode {
+    subject: String,
+    checks: Vec<Check>,
+}
+
+/// Asks all nodes, some of them at the same time, and shows how far it is.
+async fn ask_nodes(asked: Vec<Asked>, answer_time: Duration) -> Vec<OfNode> {
+    let (all, room) = (asked.len(), Arc::new(Semaphore::new(AT_ONCE)));
+    let mut asking = JoinSet::new();
+    for (index, asked) in asked.into_iter().enumerate() {
+        let room = Arc::clone(&room);
+        asking.spawn(async move {
+            let _place = room.acquire().await;
+            let seen = asked.ask(answer_time).await;
+            (index, OfNode { checks: asked.judge(seen.as_ref()), subject: asked.subject })
+        });
+    }
+    let mut progress = ProgressLine::new(true);
+    let mut done = Vec::with_capacity(all);
+    loop {
+        tokio::select! {
+            finished = asking.join_next() => match finished {
+                Some(Ok(finished)) => done.push(finished),
+                Some(Err(_)) => {}
+                None => break,
+            },
+            () = until(progress.due().map(Instant::from)) => {
+                let share = done.len() as f64 / all.max(1) as f64;
+                progress.draw(&format!("{}, {} of {all} nodes", bar(share), done.len()));
+            }
+        }
+    }
+    done.sort_by_key(|(index, _)| *index);
+    done.into_iter().map(|(_, of_node)| of_node).collect()
+}
+
+/// What the system says, read once.
+struct Host {
+    interfaces: Vec<Interface>,
+    sockets: ports::Sockets,
+    port_range: Option<String>,
+    reserved_ports: String,
+    /// The rules of nft.
+    rules: Option<serde_json::Value>,
+    /// The kernel's entries of address translation.
+    translated: Option<String>,
+}
+
+impl Host {
+    fn read() -> Self {
+        let tables = ["/proc/self/net/udp", "/proc/self/net/udp6"].map(host::read);
+        let bound = tables.iter().flatten().flat_map(|table| ports::bound(table)).collect();
+        let rules = host::output("nft", &["--json", "list", "ruleset"]);
+        // Without this file there is no address translation, and `conntrack` would load it.
+        let translates = host::read("/proc/sys/net/netfilter/nf_conntrack_count").is_some();
+        let entries = || {
+            host::read("/proc/self/net/nf_conntrack")
+                .or_else(|| host::output("conntrack", &["-L", "-p", "udp"]))
+        };
+        Self {
+            interfaces: host::interfaces().unwrap_or_default(),
+            sockets: ports::Sockets { bound, owners: host::socket_owners() },
+            port_range: host::read("/proc/sys/net/ipv4/ip_local_port_range"),
+            reserved_ports: host::read("/proc/sys/net/ipv4/ip_local_reserved_ports")
+                .unwrap_or_default(),
+            rules: rules.and_then(|rules| serde_json::from_str(&rules).ok()),
+            translated: if translates { entries() } else { Some(String::new()) },
+        }
+    }
+
+    fn machine(&self, config: &Config) -> Vec<Check> {
+        let public: Vec<_> =
+            config.table.mappings().iter().flat_map(|it| public(config, it)).collect();
+        let relay = self.sockets.relay(&public);
+        let process = relay.map_or("self".to_owned(), |pid| pid.to_string());
+        let limits = host::read(&format!("/proc/{process}/limits"));
+        let synchronised =
+            host::output("timedatectl", &["show", "-p", "NTPSynchronized", "--value"]);
+        vec![
+            machine::descriptors(descriptors_needed(config), limits.as_deref(), relay.is_some()),
+            machine::receive_buffer(
+                config.datapath.receive_buffer,
+                host::number("/proc/sys/net/core/rmem_max"),
+            ),
+            machine::clock(SystemTime::now(), synchronised.as_deref()),
+        ]
+    }
+
+    /// The checks of a net, some of whose mappings these are.
+    fn net(&self, config: &Config, mappings: &[Mapping]) -> Vec<Check> {
+        let id = mappings[0].net;
+        let net = config.table.net(id);
+        let servers: Vec<_> = mappings.iter().map(|mapping| mapping.server).collect();
+        let way = net::Way {
+            net: &net.name,
+            source: source_towards(servers[0]),
+            servers,
+            is_beyond_gateway: config.beyond_gateway.contains(&id),
+            interfaces: &self.interfaces,
+        };
+        let public: Vec<_> = mappings.iter().flat_map(|it| public(config, it)).collect();
+        let ports: Vec<_> = public.iter().map(SocketAddr::port).collect();
+        let listen = config.addresses_of(&mappings[0]);
+        let interfaces = self.towards_clients(listen);
+        let arriving = |address: &SocketAddr| firewall::Arriving {
+            is_ipv4: address.is_ipv4(),
+            port: address.port(),
+            interfaces: &interfaces,
+            clients: &net.allow,
+        };
+        let requests: Vec<_> = public.iter().map(arriving).collect();
+        let mut checks: Vec<_> = [way.interface(), way.route()].into_iter().flatten().collect();
+        checks.push(net::allow(&net.name, &net.allow, listen));
+        checks.push(self.sockets.judge(&net.name, &public));
+        checks.push(ports::ephemeral(
+            &net.name,
+            &ports,
+            self.port_range.as_deref(),
+            &self.reserved_ports,
+        ));
+        checks.push(firewall::judge(&net.name, self.rules.as_ref(), &requests));
+        checks.push(conntrack::judge(&net.name, &ports, self.translated.as_deref()));
+        checks
+    }
+
+    /// The interfaces that clients come in by: those with an address of `listen`, or with the route to the
+    /// Internet.
+    fn towards_clients(&self, listen: &[IpAddr]) -> Vec<String> {
+        let far = FAR.iter().filter_map(|far| far.parse().ok());
+        let sources: Vec<_> = far.filter_map(|far| source_towards(far).ok()).collect();
+        let is_theirs = |address: IpAddr| {
+            listen
+                .iter()
+                .any(|own| *own == address || own.is_unspecified() && sources.contains(&address))
+        };
+        let theirs = self.interfaces.iter().filter(|interface| {
+            interface.addresses.iter().any(|address| is_theirs(address.addr()))
+        });
+        theirs.map(|interface| interface.name.clone()).collect()
+    }
+}
+
+/// The addresses and ports at which clients reach a node.
+fn public(config: &Config, mapping: &Mapping) -> Vec<SocketAddr> {
+    let addresses = config.addresses_of(mapping).iter();
+    addresses.map(|address| SocketAddr::new(*address, mapping.public_port)).collect()
+}
