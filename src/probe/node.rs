@@ -257,8 +257,10 @@ impl Asked {
             }
             Neighbour::Silent => Check::bad(ANSWER, subject, "no answer: nobody is at its address"),
             Neighbour::Unlisted => {
-                let text =
-                    format!("no answer from {}, which is on no wire of this router", self.server);
+                let text = format!(
+                    "no answer from {}, and no ARP table tells whether it is there",
+                    self.server
+                );
                 Check::bad(ANSWER, subject, text)
                     .remedy("ping it; if that works, compare password and port with the node's own")
             }
@@ -353,7 +355,7 @@ mod tests {
                 "there, but silent: the password or the port",
             ),
             (SILENT, Some(answered), there(), Verdict::Bad, "answers only without a password"),
-            (SILENT, Some(SILENT), Neighbour::Unlisted, Verdict::Bad, "on no wire of this router"),
+            (SILENT, Some(SILENT), Neighbour::Unlisted, Verdict::Bad, "no ARP table tells"),
             (lost(Loss::WrongPassword), None, there(), Verdict::Bad, "another password"),
             (
                 lost(Loss::OtherPort(([172, 17, 17, 1], 34378).into())),

@@ -8,8 +8,8 @@ use serde_json::Value;
 use tempfile::TempDir;
 
 use crate::harness::{
-    Network, Process, Relay, Settings, WRONG, datagram, eventually, exchange, folder, has_nft,
-    pnet_nat, request,
+    FIGURE_10, Network, Process, Relay, Settings, WRONG, datagram, eventually, exchange, folder,
+    has_nft, pnet_nat, request,
 };
 
 const LISTEN: &str = r#"["198.51.100.1"]"#;
@@ -163,7 +163,7 @@ fn a_firewall_that_drops_is_named() {
         let firewall = |rules: &str| {
             network.edge.nft(&format!(
                 "table inet filter {{ chain input {{ type filter hook input priority 0; policy drop; \
-                 ct state established accept; iifname lo accept\n{rules}\n}} }}\n"
+                 ct state established accept; iifname lo accept\n{rules}\n}}\n}}\n"
             ));
             let probed = probe(folder.path(), &["--node", "4"]);
             network.edge.nft("delete table inet filter");
@@ -177,6 +177,24 @@ fn a_firewall_that_drops_is_named() {
         firewall(rule).expect("firewall", "section-1", "good", good);
         let rule = "ip saddr 198.51.100.7 udp dport 20004 accept";
         firewall(rule).expect("firewall", "section-1", "unknown", "drops others");
+    });
+}
+
+/// A client that goes on asking keeps the entry of a rule that is gone.
+#[test]
+fn an_old_address_translation_is_named() {
+    let Some(network) = Network::build().filter(|_| has_nft()) else { return };
+    network.at_the_edge(|| {
+        network.edge.nft(
+            "table ip old {\nchain before {\ntype nat hook prerouting priority -100\n\
+             udp dport 20004 redirect to :9\n}\n}\n",
+        );
+        network.client("198.51.100.7").send(network.public("198.51.100.1", 4), &request(4));
+        network.edge.nft("delete table ip old");
+        let folder = folder(&configuration(&network, ""));
+        let text = "takes requests to UDP 20004 past the relay";
+        probe(folder.path(), &["--node", "4"]).expect("conntrack", "section-1", "bad", text);
+        probe(folder.path(), &["--node", "3"]).expect("conntrack", "section-1", "good", "none");
     });
 }
 
@@ -203,8 +221,8 @@ fn clients_that_are_refused_are_counted_with_the_reason() {
         let public = network.public("198.51.100.1", 4);
         stranger.send(network.public("198.51.100.1", 4), &request(4));
         client.send(public, &request(3));
-        client.send(public, &datagram(&crate::harness::FIGURE_10, &[], WRONG));
-        client.send(public, &datagram(&crate::harness::FIGURE_10, &[], WRONG));
+        client.send(public, &datagram(&FIGURE_10, &[], WRONG));
+        client.send(public, &datagram(&FIGURE_10, &[], WRONG));
         let drops = [
             ("request", "source_not_allowed", 1),
             ("request", "node_mismatch", 1),
@@ -215,6 +233,27 @@ fn clients_that_are_refused_are_counted_with_the_reason() {
         for (_, reason, _) in drops {
             probed.expect("clients", "node 4 of section-1", "doubtful", reason);
         }
+        relay.finish();
+    });
+}
+
+/// With this prefilter the kernel drops at any time what it otherwise drops in a flood.
+#[test]
+fn what_the_kernel_drops_in_a_flood_is_told() {
+    let Some(network) = Network::build() else { return };
+    network.at_the_edge(|| {
+        let always = configuration(&network, "") + "\n[datapath]\nprefilter = \"always\"\n";
+        let relay = Relay::start(&always, network.place("").admin, None);
+        let client = network.client("198.51.100.7");
+        for _ in 0..3 {
+            client.send(network.public("198.51.100.1", 4), &datagram(&FIGURE_10, &[], WRONG));
+        }
+        let dropped = ("pnet_nat_kernel_dropped_datagrams_total", [("cause", "prefilter")]);
+        eventually("the kernel has dropped them", || {
+            (relay.metrics().sum(dropped.0, &dropped.1) == 3).then_some(())
+        });
+        let probed = probe(relay.folder.path(), &["--node", "4"]);
+        probed.expect("flood", "section-1", "doubtful", "as in a flood: 3 (prefilter)");
         relay.finish();
     });
 }

@@ -22,7 +22,7 @@ use std::time::{Duration, SystemTime};
 
 use tokio::sync::Semaphore;
 use tokio::task::JoinSet;
-use tokio::time::Instant;
+use tokio::time::{Instant, sleep};
 
 use super::admin_server::{self, AdminServer};
 use super::output::{Format, Paint, out};
@@ -40,6 +40,9 @@ use relay::Relay;
 
 /// Nodes that are asked at the same time. Each has its own socket.
 const AT_ONCE: usize = 64;
+/// Time from the first request to one node to that of the next, so that none waits for the others, and the
+/// plant gets no burst.
+const STEP: Duration = Duration::from_millis(2);
 /// How long the relay may take for an answer.
 const RELAY_TIME: Duration = Duration::from_secs(3);
 /// Addresses that stand for the Internet: reserved for documentation.
@@ -183,7 +186,9 @@ async fn ask_nodes(asked: Vec<Asked>, answer_time: Duration) -> Vec<OfNode> {
     let mut asking = JoinSet::new();
     for (index, asked) in asked.into_iter().enumerate() {
         let room = Arc::clone(&room);
+        let steps = u32::try_from(index).unwrap_or(u32::MAX);
         asking.spawn(async move {
+            sleep(STEP * steps).await;
             let _place = room.acquire().await;
             let seen = asked.ask(answer_time).await;
             (index, OfNode { checks: asked.judge(seen.as_ref()), subject: asked.subject })

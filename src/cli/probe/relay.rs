@@ -71,7 +71,7 @@ impl Relay {
             let items: Vec<_> =
                 dropped.iter().map(|(cause, count)| format!("{count} ({cause})")).collect();
             let text = format!(
-                "a flood: the kernel dropped {} before the relay saw them",
+                "dropped by the kernel before the relay saw them, as in a flood: {}",
                 items.join(", ")
             );
             checks.push(Check::doubtful("flood", name, text).remedy(
@@ -149,7 +149,7 @@ mod tests {
         assert_eq!(checks.len(), 1);
         assert_eq!(
             checks[0].text,
-            "a flood: the kernel dropped 900 (prefilter) before the relay saw them"
+            "dropped by the kernel before the relay saw them, as in a flood: 900 (prefilter)"
         );
         let counted = relay().counted("section-1", 3).unwrap();
         assert!(counted.is_silent);
