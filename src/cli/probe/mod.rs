@@ -1,6 +1,6 @@
 //! `pnet-nat probe`: what is wrong between clients, router and nodes, found on the router.
 //!
-//! `host` reads what the system says, and `relay` what a running relay says; `net`, `ports`, `firewall`,
+//! `host` and `system` read what the system says, and `relay` what a running relay says; `net`, `ports`, `firewall`,
 //! `conntrack` and `machine` are the checks, each a function of what was read. Those of a node are in
 //! [`crate::probe`]. Invariant: nothing is changed, and a node gets one harmless request at a time.
 
@@ -12,14 +12,15 @@ mod net;
 mod ports;
 mod print;
 mod relay;
+mod system;
 
 use std::io::Write;
-use std::net::{IpAddr, SocketAddr};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Arc;
-use std::time::{Duration, SystemTime};
+use std::time::Duration;
 
+use clap::builder::BoolishValueParser;
 use tokio::sync::Semaphore;
 use tokio::task::JoinSet;
 use tokio::time::{Instant, sleep};
@@ -30,13 +31,12 @@ use super::progress::{ProgressLine, bar};
 use super::reload::reachable;
 use super::{BAD_USE, complain, told};
 use crate::config::{self, Config};
-use crate::datapath::descriptors_needed;
 use crate::harmless::harmless_json;
 use crate::nat::{Mapping, NetId};
 use crate::peer::until;
 use crate::probe::{Asked, Check, Report, Verdict};
-use host::{Interface, source_towards};
 use relay::Relay;
+use system::System;
 
 /// Nodes that are asked at the same time. Each has its own socket.
 const AT_ONCE: usize = 64;
@@ -45,8 +45,6 @@ const AT_ONCE: usize = 64;
 const STEP: Duration = Duration::from_millis(2);
 /// How long the relay may take for an answer.
 const RELAY_TIME: Duration = Duration::from_secs(3);
-/// Addresses that stand for the Internet: reserved for documentation.
-const FAR: [&str; 2] = ["203.0.113.1:9", "[2001:db8::1]:9"];
 
 /// Find out on the router why there is no answer: interfaces, routes, firewall, ports, and each node.
 ///
@@ -73,6 +71,10 @@ pub(super) struct Args {
     /// Only the node with this node address.
     #[arg(long, value_name = "NODE", env = "PNET_NAT_NODE")]
     node: Option<u8>,
+
+    /// Show each node that answers, and not only how many do.
+    #[arg(long, env = "PNET_NAT_FULL", value_parser = BoolishValueParser::new())]
+    full: bool,
 
     /// How long to wait for each answer of a node.
     #[arg(
@@ -107,7 +109,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<ExitCode> {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     let report = Report::new(runtime.block_on(probe(args, &config, &mappings)));
     let text = match args.format {
-        Format::Text => print::text(&report, Paint::of_stdout()),
+        Format::Text => print::text(&report, args.full, Paint::of_stdout()),
         Format::Json => harmless_json(&serde_json::to_string(&report)?) + "\n",
     };
     out().write_all(text.as_bytes())?;
@@ -142,10 +144,10 @@ async fn probe(args: &Args, config: &Config, mappings: &[Mapping]) -> Vec<Check>
         None => vec![relay::no_admin_server()],
     };
     let relay = relay.and_then(Result::ok);
-    let host = Host::read();
-    checks.extend(host.machine(config));
+    let system = System::read();
+    checks.extend(system.machine(config));
     for mappings in mappings.chunk_by(|a, b| a.net == b.net) {
-        checks.extend(host.net(config, mappings));
+        checks.extend(system.net(config, mappings));
         let name = &config.table.net(mappings[0].net).name;
         checks.extend(relay.iter().flat_map(|relay| relay.judge_net(name)));
     }
@@ -211,116 +213,4 @@ async fn ask_nodes(asked: Vec<Asked>, answer_time: Duration) -> Vec<OfNode> {
     }
     done.sort_by_key(|(index, _)| *index);
     done.into_iter().map(|(_, of_node)| of_node).collect()
-}
-
-/// What the system says, read once.
-struct Host {
-    interfaces: Vec<Interface>,
-    sockets: ports::Sockets,
-    port_range: Option<String>,
-    reserved_ports: String,
-    /// The rules of nft.
-    rules: Option<serde_json::Value>,
-    /// The kernel's entries of address translation.
-    translated: Option<String>,
-}
-
-impl Host {
-    fn read() -> Self {
-        let tables = ["/proc/self/net/udp", "/proc/self/net/udp6"].map(host::read);
-        let bound = tables.iter().flatten().flat_map(|table| ports::bound(table)).collect();
-        let rules = host::output("nft", &["--json", "list", "ruleset"]);
-        // Without this file there is no address translation, and `conntrack` would load it.
-        let translates = host::read("/proc/sys/net/netfilter/nf_conntrack_count").is_some();
-        let entries = || {
-            host::read("/proc/self/net/nf_conntrack")
-                .or_else(|| host::output("conntrack", &["-L", "-p", "udp"]))
-        };
-        Self {
-            interfaces: host::interfaces().unwrap_or_default(),
-            sockets: ports::Sockets { bound, owners: host::socket_owners() },
-            port_range: host::read("/proc/sys/net/ipv4/ip_local_port_range"),
-            reserved_ports: host::read("/proc/sys/net/ipv4/ip_local_reserved_ports")
-                .unwrap_or_default(),
-            rules: rules.and_then(|rules| serde_json::from_str(&rules).ok()),
-            translated: if translates { entries() } else { Some(String::new()) },
-        }
-    }
-
-    fn machine(&self, config: &Config) -> Vec<Check> {
-        let public: Vec<_> =
-            config.table.mappings().iter().flat_map(|it| public(config, it)).collect();
-        let relay = self.sockets.relay(&public);
-        let process = relay.map_or("self".to_owned(), |pid| pid.to_string());
-        let limits = host::read(&format!("/proc/{process}/limits"));
-        let synchronised =
-            host::output("timedatectl", &["show", "-p", "NTPSynchronized", "--value"]);
-        vec![
-            machine::descriptors(descriptors_needed(config), limits.as_deref(), relay.is_some()),
-            machine::receive_buffer(
-                config.datapath.receive_buffer,
-                host::number("/proc/sys/net/core/rmem_max"),
-            ),
-            machine::clock(SystemTime::now(), synchronised.as_deref()),
-        ]
-    }
-
-    /// The checks of a net, some of whose mappings these are.
-    fn net(&self, config: &Config, mappings: &[Mapping]) -> Vec<Check> {
-        let id = mappings[0].net;
-        let net = config.table.net(id);
-        let servers: Vec<_> = mappings.iter().map(|mapping| mapping.server).collect();
-        let way = net::Way {
-            net: &net.name,
-            source: source_towards(servers[0]),
-            servers,
-            is_beyond_gateway: config.beyond_gateway.contains(&id),
-            interfaces: &self.interfaces,
-        };
-        let public: Vec<_> = mappings.iter().flat_map(|it| public(config, it)).collect();
-        let ports: Vec<_> = public.iter().map(SocketAddr::port).collect();
-        let listen = config.addresses_of(&mappings[0]);
-        let interfaces = self.towards_clients(listen);
-        let arriving = |address: &SocketAddr| firewall::Arriving {
-            is_ipv4: address.is_ipv4(),
-            port: address.port(),
-            interfaces: &interfaces,
-            clients: &net.allow,
-        };
-        let requests: Vec<_> = public.iter().map(arriving).collect();
-        let mut checks: Vec<_> = [way.interface(), way.route()].into_iter().flatten().collect();
-        checks.push(net::allow(&net.name, &net.allow, listen));
-        checks.push(self.sockets.judge(&net.name, &public));
-        checks.push(ports::ephemeral(
-            &net.name,
-            &ports,
-            self.port_range.as_deref(),
-            &self.reserved_ports,
-        ));
-        checks.push(firewall::judge(&net.name, self.rules.as_ref(), &requests));
-        checks.push(conntrack::judge(&net.name, &ports, self.translated.as_deref()));
-        checks
-    }
-
-    /// The interfaces that clients come in by: those with an address of `listen`, or with the route to the
-    /// Internet.
-    fn towards_clients(&self, listen: &[IpAddr]) -> Vec<String> {
-        let far = FAR.iter().filter_map(|far| far.parse().ok());
-        let sources: Vec<_> = far.filter_map(|far| source_towards(far).ok()).collect();
-        let is_theirs = |address: IpAddr| {
-            listen
-                .iter()
-                .any(|own| *own == address || own.is_unspecified() && sources.contains(&address))
-        };
-        let theirs = self.interfaces.iter().filter(|interface| {
-            interface.addresses.iter().any(|address| is_theirs(address.addr()))
-        });
-        theirs.map(|interface| interface.name.clone()).collect()
-    }
-}
-
-/// The addresses and ports at which clients reach a node.
-fn public(config: &Config, mapping: &Mapping) -> Vec<SocketAddr> {
-    let addresses = config.addresses_of(mapping).iter();
-    addresses.map(|address| SocketAddr::new(*address, mapping.public_port)).collect()
 }

@@ -118,7 +118,7 @@ pub(super) fn ephemeral(net: &str, ports: &[u16], range: Option<&str>, reserved:
             matches!((first, last), (Ok(first), Ok(last)) if (first..=last).contains(&port))
         })
     };
-    let mut lent: Vec<_> = ports.iter().copied().collect();
+    let mut lent: Vec<_> = ports.to_vec();
     lent.sort_unstable();
     lent.dedup();
     lent.retain(|port| limits.contains(port) && !is_reserved(*port));
