@@ -8,7 +8,7 @@
 //! | feature | what it adds |
 //! |---|---|
 //! | none | [`pnet`] and [`profinet`]: the protocols, without I/O and with few dependencies |
-//! | `relay` | the NAT, its sockets, its configuration, and what is told of it |
+//! | `relay` | the NAT, its sockets, its configuration, and what is told of it; it asks nodes, so with `peer` |
 //! | `peer` | a client and a server node on tokio's sockets |
 //! | `cli` | the program |
 
@@ -35,6 +35,8 @@ pub mod logging;
 pub mod nat;
 #[cfg(feature = "relay")]
 pub mod observe;
+#[cfg(feature = "relay")]
+pub mod probe;
 #[cfg(feature = "relay")]
 pub mod reload;
 #[cfg(feature = "relay")]

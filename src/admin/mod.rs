@@ -1,6 +1,6 @@
 //! The admin server: metrics, health, a status page and an API for people and monitoring.
 //!
-//! It only reads, except for a reload where the configuration allows one. Whatever its clients do, the
+//! It only reads, except for a reload and for requests to a node, where the configuration allows them. Whatever its clients do, the
 //! datapath goes on and a probe is answered: a connection has one request, the number of connections, the
 //! time and the buffers are limited, and an answer is made piece by piece as it is read.
 
@@ -62,7 +62,7 @@ const GRACE: Duration = Duration::from_secs(1);
 const ACCEPT_PAUSE: Duration = Duration::from_secs(1);
 
 /// The paths, and what each is for.
-const ROUTES: [(&str, &str); 13] = [
+const ROUTES: [(&str, &str); 14] = [
     ("/", "the status page, for browsers"),
     ("/metrics", "for Prometheus"),
     ("/-/healthy", "200 as long as the process runs"),
@@ -85,6 +85,7 @@ const ROUTES: [(&str, &str); 13] = [
     ),
     ("/api/v1/refused?limit=1000", "who is refused and why, newest first; ?net=NAME for one net"),
     ("/api/v1/config", "the configuration in force, without passwords"),
+    ("/api/v1/probe?net=NAME&node=N", "POST: asks a node, where [admin] probe allows it"),
 ];
 
 /// Answers requests until `shutdown` completes, then waits up to a second for the open ones. Without
@@ -138,6 +139,7 @@ pub fn routes(router: Arc<Router>, reloader: Option<Reloader>, sandbox: Sandbox)
         turn: Turn::default(),
         flow_lists: api::FlowLists::default(),
         packing: Arc::default(),
+        probes: api::Probes::default(),
     };
     axum::Router::new()
         .route("/", get(page::html))
@@ -156,6 +158,7 @@ pub fn routes(router: Arc<Router>, reloader: Option<Reloader>, sandbox: Sandbox)
         .route("/api/v1/history", get(api::history))
         .route("/api/v1/refused", get(api::refused))
         .route("/api/v1/config", get(api::config))
+        .route("/api/v1/probe", post(api::probe))
         .fallback(not_found)
         .layer(middleware::from_fn_with_state(shared.clone(), access::control))
         .with_state(shared)
@@ -173,6 +176,7 @@ struct Shared {
     flow_lists: api::FlowLists,
     /// Held while a history is compressed, which takes some memory.
     packing: Arc<tokio::sync::Mutex<()>>,
+    probes: api::Probes,
 }
 
 async fn answer(connection: Connection, routes: axum::Router) -> hyper::Result<()> {

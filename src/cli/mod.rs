@@ -15,6 +15,7 @@ mod inventory;
 mod node;
 mod output;
 mod password;
+mod probe;
 mod progress;
 mod reload;
 mod request;
@@ -89,6 +90,7 @@ enum Command {
     Inventory(inventory::Args),
     Status(status::Args),
     Flows(flows::Args),
+    Probe(probe::Args),
     Reload(reload::Args),
     Healthcheck(healthcheck::Args),
     Completions(documentation::Completions),
@@ -120,8 +122,8 @@ pub fn main() -> ExitCode {
     }
     let usual = if service { LogLevel::Info } else { LogLevel::Warn };
     logging::init(cli.log_format, cli.log_level.unwrap_or(usual), service);
-    // The exit code of these two is a verdict, which must not be lost with the output.
-    let judges = matches!(cli.command, Command::Demo(_) | Command::Request(_));
+    // The exit code of these is a verdict, which must not be lost with the output.
+    let judges = matches!(cli.command, Command::Demo(_) | Command::Request(_) | Command::Probe(_));
     let done = match cli.command {
         Command::Init(args) => init::run(args),
         Command::Run(args) => run::run(&args),
@@ -135,6 +137,7 @@ pub fn main() -> ExitCode {
         Command::Inventory(args) => inventory::run(&args),
         Command::Status(args) => status::run(args),
         Command::Flows(args) => flows::run(&args),
+        Command::Probe(args) => probe::run(&args),
         Command::Reload(args) => reload::run(&args),
         Command::Healthcheck(args) => healthcheck::run(args),
         Command::Completions(args) => documentation::completions(&args),

@@ -7,6 +7,8 @@ use anstream::{AutoStream, ColorChoice};
 use comfy_table::{CellAlignment, Table, presets};
 use serde::Serialize;
 
+use crate::probe::Verdict;
+
 /// The format of the output.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub(super) enum Format {
@@ -40,6 +42,17 @@ impl Paint {
 
     pub(super) fn green(self, text: &str) -> String {
         self.with("32", text)
+    }
+
+    /// In the colour of a verdict.
+    pub(super) fn verdict(self, verdict: Verdict, text: &str) -> String {
+        let code = match verdict {
+            Verdict::Good => "32",
+            Verdict::Doubtful => "33",
+            Verdict::Bad => "31",
+            Verdict::Unknown => "90",
+        };
+        self.with(code, text)
     }
 
     fn with(self, code: &str, text: &str) -> String {

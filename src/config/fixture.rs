@@ -34,6 +34,7 @@ pub(crate) fn config() -> Config {
     Config {
         listen: vec![Ipv4Addr::UNSPECIFIED.into()],
         table: Arc::new(Table::new(Header::default(), nets, mappings)),
+        beyond_gateway: Vec::new(),
         limits: Limits {
             max_flows: 10_000,
             wrong_password_burst: 10,
@@ -48,6 +49,7 @@ pub(crate) fn config() -> Config {
             token: None,
             metrics_without_token: false,
             reload: false,
+            probe: false,
         }),
         control: None,
         files: Vec::new(),

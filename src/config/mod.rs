@@ -156,9 +156,23 @@ fn read(mut root: Section<'_>, host: &dyn Host, in_force: Option<&Table>) -> Opt
     overlap::warn_of_deaf_listeners(&drafts, &listeners);
     host::check(&drafts, &listen, host, in_force);
     report.is_sound().then(|| {
+        let ids = (0..).map(NetId).zip(&drafts);
+        let beyond = ids.filter(|(_, draft)| draft.servers_beyond_gateway);
+        let beyond_gateway = beyond.map(|(id, _)| id).collect();
         let table = Arc::new(table(header, drafts));
         let files = [vec![report.file.to_owned()], report.secrets.take()].concat();
-        Config { listen, table, limits, datapath, log, runtime, admin, control, files }
+        Config {
+            listen,
+            table,
+            beyond_gateway,
+            limits,
+            datapath,
+            log,
+            runtime,
+            admin,
+            control,
+            files,
+        }
     })
 }
 

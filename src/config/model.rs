@@ -8,7 +8,7 @@ use std::str::FromStr;
 use std::sync::Arc;
 use std::time::Duration;
 
-use crate::nat::{Limits, Mapping, Table};
+use crate::nat::{Limits, Mapping, NetId, Table};
 
 use super::token::Token;
 
@@ -20,6 +20,8 @@ pub struct Config {
     pub listen: Vec<IpAddr>,
     /// The NAT table.
     pub table: Arc<Table>,
+    /// The nets whose servers may be reached by a gateway.
+    pub beyond_gateway: Vec<NetId>,
     /// Limits of the relay as a whole.
     pub limits: Limits,
     /// How datagrams are taken from the kernel.
@@ -125,4 +127,6 @@ pub struct Admin {
     pub metrics_without_token: bool,
     /// Whether `POST /-/reload` brings the configuration file into force.
     pub reload: bool,
+    /// Whether `POST /api/v1/probe` asks a node.
+    pub probe: bool,
 }

@@ -129,6 +129,7 @@ pub(super) fn admin(mut section: Section<'_>) -> (Option<Admin>, Option<PathBuf>
     let open_metrics = section.key("metrics_without_token", "true");
     let reload = section.key("reload", "true");
     let control = control_socket(&section.key("control", "\"/run/pnet-nat/control.sock\""));
+    let probe = section.key("probe", "true");
     section.finish();
     let beyond = !listen.ip().to_canonical().is_loopback();
     if enabled && beyond && !token_file.is_there() {
@@ -141,7 +142,8 @@ pub(super) fn admin(mut section: Section<'_>) -> (Option<Admin>, Option<PathBuf>
     }
     let metrics_without_token = open_metrics.boolean().unwrap_or(false);
     let reload = reload.boolean().unwrap_or(false);
-    let admin = enabled.then_some(Admin { listen, token, metrics_without_token, reload });
+    let probe = probe.boolean().unwrap_or(false);
+    let admin = enabled.then_some(Admin { listen, token, metrics_without_token, reload, probe });
     (admin, control)
 }
 

@@ -16,6 +16,8 @@ mod throttlings;
 pub use active_config::ActiveConfig;
 pub use last_reload::LastReload;
 pub use reload::{Reloaded, Stopping};
+#[cfg(feature = "cli")]
+pub(crate) use router::descriptors_needed;
 pub use router::{Bound, Router};
 pub use socket::descriptors::TooFewDescriptors;
 pub use socket::filtered::KernelDrops;

@@ -253,6 +253,12 @@ pub(in crate::datapath) fn addresses(config: &Config) -> usize {
     config.table.mappings().iter().map(|mapping| config.addresses_of(mapping).len()).sum()
 }
 
+/// File descriptors that a relay with this configuration needs.
+#[cfg(feature = "cli")]
+pub(crate) fn descriptors_needed(config: &Config) -> usize {
+    descriptors::needed(addresses(config), config.runtime.workers)
+}
+
 /// Locks even after a panic: what these locks guard is changed in one step, so it is always whole.
 pub(in crate::datapath) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)

@@ -37,6 +37,7 @@ mod namespaces;
 mod nat;
 mod package;
 mod password;
+mod probe;
 mod profinet;
 mod profinet_judge;
 mod prometheus;

@@ -47,6 +47,8 @@ struct ConfigInForce<'a> {
     admin_reload: bool,
     /// Null: where the service manager has a folder for it, if it has one.
     control: Option<&'a Path>,
+    /// Whether `POST /api/v1/probe` is enabled.
+    admin_probe: bool,
 }
 
 #[derive(Serialize)]
@@ -58,8 +60,7 @@ struct NetConfig<'a> {
 
 impl<'a> ConfigInForce<'a> {
     fn of(config: &'a Config) -> Self {
-        let Config { listen, table, limits, datapath, log, runtime, admin, control, files: _ } =
-            config;
+        let Config { listen, table, limits, datapath, log, runtime, admin, control, .. } = config;
         let nets = table.net_ids().map(|id| NetConfig {
             rules: NetRules::of(table.net(id)),
             nodes: table.mappings_of(id).map(|m| Element::of(table.mapping(m))).collect(),
@@ -84,6 +85,7 @@ impl<'a> ConfigInForce<'a> {
             metrics_without_token: admin.as_ref().is_some_and(|a| a.metrics_without_token),
             admin_reload: admin.as_ref().is_some_and(|admin| admin.reload),
             control: control.as_deref(),
+            admin_probe: admin.as_ref().is_some_and(|admin| admin.probe),
         }
     }
 }

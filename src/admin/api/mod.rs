@@ -9,6 +9,7 @@ mod events;
 mod flows;
 mod history;
 mod nets;
+mod probe;
 mod refused;
 mod status;
 mod traffic;
@@ -26,6 +27,7 @@ pub(super) use events::events;
 pub(super) use flows::{FlowLists, flows};
 pub(super) use history::history;
 pub(super) use nets::nets;
+pub(super) use probe::{Probes, probe};
 pub(super) use refused::refused;
 pub(super) use status::status;
 

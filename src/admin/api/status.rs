@@ -44,6 +44,8 @@ struct Status<'a> {
     /// Upper bounds of `response_time_buckets`; the last bucket has none.
     response_time_bounds_seconds: [f64; RESPONSE_BUCKETS.len()],
     sandbox: Vec<LayerState<'a>>,
+    /// Whether `POST /api/v1/probe` is enabled.
+    probe: bool,
 }
 
 /// How the last reload went.
@@ -101,7 +103,7 @@ impl<'a> Status<'a> {
             why: state.why(),
         };
         let active = shared.router.active_config();
-        let Config { table, limits, .. } = &active.config;
+        let Config { table, limits, admin, .. } = &active.config;
         Self {
             version: env!("CARGO_PKG_VERSION"),
             commit: Some(COMMIT).filter(|commit| !commit.is_empty()),
@@ -120,6 +122,7 @@ impl<'a> Status<'a> {
             upstream_kernel_dropped_datagrams: active.upstream_kernel_drops().by_cause().into(),
             response_time_bounds_seconds: RESPONSE_BUCKETS,
             sandbox: shared.sandbox.layers().map(state).collect(),
+            probe: admin.as_ref().is_some_and(|admin| admin.probe),
         }
     }
 }

@@ -95,6 +95,7 @@ impl Plant {
         Config {
             listen: vec![PUBLIC],
             table: Arc::new(Table::new(Header::default(), vec![net], mappings)),
+            beyond_gateway: Vec::new(),
             limits: Limits {
                 max_flows: 64,
                 wrong_password_burst: 10,
@@ -109,6 +110,7 @@ impl Plant {
                 token: None,
                 metrics_without_token: false,
                 reload: false,
+                probe: true,
             }),
             control: None,
             files: Vec::new(),

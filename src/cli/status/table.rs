@@ -18,7 +18,7 @@ const SILENT: &str = "
 A silent node: ping its server from the router. No reply: check its power, cable and address. All
 nodes of a net silent: check the route to it; send_failed below grows when there is none. It replies
 to ping only: check its Secure port and its password. unknown_flow below grows: it answers from
-another address or port. To ask a node as the relay does: pnet-nat request --help
+another address or port. To have the router look for the cause: pnet-nat probe --help
 ";
 
 /// How it is drawn.

@@ -61,13 +61,23 @@ pub(in crate::datapath) fn share(addresses: usize, workers: usize) -> Share {
     allot(addresses, workers.max(1), raise_limit())
 }
 
+/// What a configuration needs: with this many workers, or else with one.
+#[cfg(feature = "cli")]
+pub(in crate::datapath) fn needed(addresses: usize, workers: Option<NonZeroUsize>) -> usize {
+    for_workers(addresses, workers.map_or(1, NonZeroUsize::get))
+}
+
+fn for_workers(addresses: usize, workers: usize) -> usize {
+    RESERVE + workers * (addresses + FOR_A_WORKER)
+}
+
 fn allot(addresses: usize, workers: usize, limit: usize) -> Share {
     let each = (limit.saturating_sub(RESERVE) / workers).saturating_sub(OWN);
     let public_sockets = addresses.min(each.saturating_sub(FOR_A_WORKER - OWN));
     let lack = (public_sockets < addresses).then(|| TooFewDescriptors {
         public_sockets: workers * addresses,
         workers,
-        needed: RESERVE + workers * (addresses + FOR_A_WORKER),
+        needed: for_workers(addresses, workers),
         limit,
     });
     Share { public_sockets, upstreams: each - public_sockets, lack }
