@@ -48,6 +48,7 @@ pub(crate) fn config() -> Config {
             token: None,
             metrics_without_token: false,
             reload: false,
+            title: None,
         }),
         files: Vec::new(),
     }

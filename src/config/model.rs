@@ -122,4 +122,6 @@ pub struct Admin {
     pub metrics_without_token: bool,
     /// Whether `POST /-/reload` brings the configuration file into force.
     pub reload: bool,
+    /// What the status page is called: the plant, the router.
+    pub title: Option<String>,
 }

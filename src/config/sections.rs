@@ -15,6 +15,9 @@ use super::{address, defaults, net, token};
 /// A worker that would look for datagrams longer than this had better sleep.
 const MOST_BUSY_POLL: Duration = Duration::from_millis(1);
 
+/// In characters.
+const LONGEST_TITLE: usize = 60;
+
 /// `[public]`: the addresses to listen on, each with its place in the file.
 pub(super) fn public(mut section: Section<'_>) -> Vec<(Entry<'_>, IpAddr)> {
     let entry = section.key("listen", "[\"0.0.0.0\"]").required();
@@ -124,6 +127,7 @@ pub(super) fn admin(mut section: Section<'_>) -> Option<Admin> {
     let token = token::token_file(&token_file);
     let open_metrics = section.key("metrics_without_token", "true");
     let reload = section.key("reload", "true");
+    let title = title(&section.key("title", "\"Dairy, north wing\""));
     section.finish();
     let beyond = !listen.ip().to_canonical().is_loopback();
     if enabled && beyond && !token_file.is_there() {
@@ -136,5 +140,19 @@ pub(super) fn admin(mut section: Section<'_>) -> Option<Admin> {
     }
     let metrics_without_token = open_metrics.boolean().unwrap_or(false);
     let reload = reload.boolean().unwrap_or(false);
-    enabled.then_some(Admin { listen, token, metrics_without_token, reload })
+    enabled.then_some(Admin { listen, token, metrics_without_token, reload, title })
+}
+
+/// What fits into the head of a page and the tab of a browser.
+fn title(entry: &Entry<'_>) -> Option<String> {
+    let title = entry.text()?;
+    let length = title.chars().count();
+    if !(1..=LONGEST_TITLE).contains(&length) || title.chars().any(char::is_control) {
+        entry.fault(
+            format!("not 1 to {LONGEST_TITLE} printable characters"),
+            "shorten it; the title is for the status page and its tab",
+        );
+        return None;
+    }
+    Some(title.to_owned())
 }

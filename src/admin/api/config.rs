@@ -44,6 +44,8 @@ struct ConfigInForce<'a> {
     metrics_without_token: bool,
     /// Whether `POST /-/reload` is enabled.
     admin_reload: bool,
+    /// What the status page is called.
+    admin_title: Option<&'a str>,
 }
 
 #[derive(Serialize)]
@@ -79,6 +81,7 @@ impl<'a> ConfigInForce<'a> {
             admin_has_token: admin.as_ref().is_some_and(|admin| admin.token.is_some()),
             metrics_without_token: admin.as_ref().is_some_and(|a| a.metrics_without_token),
             admin_reload: admin.as_ref().is_some_and(|admin| admin.reload),
+            admin_title: admin.as_ref().and_then(|admin| admin.title.as_deref()),
         }
     }
 }

@@ -109,6 +109,7 @@ impl Plant {
                 token: None,
                 metrics_without_token: false,
                 reload: false,
+                title: None,
             }),
             files: Vec::new(),
         }
