@@ -64,7 +64,8 @@ async fn demo(args: Args) -> anyhow::Result<ExitCode> {
     let router = Arc::new(router);
     let (stop_admin, admin_stopped) = oneshot::channel::<()>();
     let admin_stopped = async { _ = admin_stopped.await };
-    let serving = admin::serve(admin, Arc::clone(&router), None, Sandbox::off(), admin_stopped);
+    let serving =
+        admin::serve(admin, Arc::clone(&router), None, Sandbox::off("in the demo"), admin_stopped);
     let admin = tokio::spawn(serving);
 
     let traffic = Traffic::new(&plant);
