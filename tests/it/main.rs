@@ -41,6 +41,8 @@ mod request;
 mod scale;
 mod status;
 mod status_page;
+mod status_reach;
+mod status_views;
 mod stopping;
 mod translate;
 mod tunnel;
