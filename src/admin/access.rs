@@ -141,7 +141,7 @@ mod tests {
     fn admin(token: Option<&str>, metrics_without_token: bool) -> Admin {
         let listen = "127.0.0.1:9378".parse().unwrap();
         let token = token.map(|token| Token::new(token.as_bytes()).unwrap());
-        Admin { listen, token, metrics_without_token, reload: false, probe: false }
+        Admin { listen, token, metrics_without_token, reload: false, probe: false, title: None }
     }
 
     const TOKEN: &str = "0123456789abcdef";

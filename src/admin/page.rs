@@ -16,10 +16,20 @@ pub(super) async fn html() -> Html<&'static str> {
 pub(super) async fn script() -> impl IntoResponse {
     const SCRIPT: &str = concat!(
         include_str!("page/status/asking.js"),
-        include_str!("page/status/figures.js"),
+        include_str!("page/status/words.js"),
         include_str!("page/status/drawing.js"),
+        include_str!("page/status/figures.js"),
+        include_str!("page/status/drops.js"),
+        include_str!("page/status/plots.js"),
+        include_str!("page/status/filter.js"),
+        include_str!("page/status/nodes.js"),
         include_str!("page/status/nets.js"),
+        include_str!("page/status/refused.js"),
+        include_str!("page/status/flows.js"),
+        include_str!("page/status/events.js"),
         include_str!("page/status/relay.js"),
+        include_str!("page/status/banner.js"),
+        include_str!("page/status/links.js"),
         include_str!("page/status/rounds.js"),
     );
     ([(CONTENT_TYPE, "text/javascript; charset=utf-8")], SCRIPT)

@@ -50,6 +50,7 @@ pub(crate) fn config() -> Config {
             metrics_without_token: false,
             reload: false,
             probe: false,
+            title: None,
         }),
         control: None,
         files: Vec::new(),

@@ -129,4 +129,6 @@ pub struct Admin {
     pub reload: bool,
     /// Whether `POST /api/v1/probe` asks a node.
     pub probe: bool,
+    /// What the status page is called: the plant, the router.
+    pub title: Option<String>,
 }

@@ -18,6 +18,8 @@ const MOST_BUSY_POLL: Duration = Duration::from_millis(1);
 
 /// The longest path that the kernel takes for a Unix socket.
 const MOST_SOCKET_OCTETS: usize = 107;
+/// In characters.
+const LONGEST_TITLE: usize = 60;
 
 /// `[public]`: the addresses to listen on, each with its place in the file.
 pub(super) fn public(mut section: Section<'_>) -> Vec<(Entry<'_>, IpAddr)> {
@@ -130,6 +132,7 @@ pub(super) fn admin(mut section: Section<'_>) -> (Option<Admin>, Option<PathBuf>
     let reload = section.key("reload", "true");
     let control = control_socket(&section.key("control", "\"/run/pnet-nat/control.sock\""));
     let probe = section.key("probe", "true");
+    let title = title(&section.key("title", "\"Dairy, north wing\""));
     section.finish();
     let beyond = !listen.ip().to_canonical().is_loopback();
     if enabled && beyond && !token_file.is_there() {
@@ -143,7 +146,8 @@ pub(super) fn admin(mut section: Section<'_>) -> (Option<Admin>, Option<PathBuf>
     let metrics_without_token = open_metrics.boolean().unwrap_or(false);
     let reload = reload.boolean().unwrap_or(false);
     let probe = probe.boolean().unwrap_or(false);
-    let admin = enabled.then_some(Admin { listen, token, metrics_without_token, reload, probe });
+    let admin =
+        enabled.then_some(Admin { listen, token, metrics_without_token, reload, probe, title });
     (admin, control)
 }
 
@@ -162,4 +166,18 @@ fn control_socket(entry: &Entry<'_>) -> Option<PathBuf> {
         return None;
     }
     Some(path)
+}
+
+/// What fits into the head of a page and the tab of a browser.
+fn title(entry: &Entry<'_>) -> Option<String> {
+    let title = entry.text()?;
+    let length = title.chars().count();
+    if !(1..=LONGEST_TITLE).contains(&length) || title.chars().any(char::is_control) {
+        entry.fault(
+            format!("not 1 to {LONGEST_TITLE} printable characters"),
+            "shorten it; the title is for the status page and its tab",
+        );
+        return None;
+    }
+    Some(title.to_owned())
 }

@@ -68,8 +68,8 @@ pub enum State {
     Partly(String),
     /// The layer is not in force, for this reason.
     Missing(String),
-    /// Nobody asked for this layer.
-    Off,
+    /// Nobody asked for this layer: where, or by what.
+    Off(&'static str),
 }
 
 impl State {
@@ -79,7 +79,7 @@ impl State {
             Self::On => "on",
             Self::Partly(_) => "partly",
             Self::Missing(_) => "missing",
-            Self::Off => "off",
+            Self::Off(_) => "off",
         }
     }
 
@@ -87,7 +87,8 @@ impl State {
     pub fn why(&self) -> Option<&str> {
         match self {
             Self::Partly(why) | Self::Missing(why) => Some(why),
-            Self::On | Self::Off => None,
+            Self::Off(why) => Some(why),
+            Self::On => None,
         }
     }
 
@@ -108,9 +109,9 @@ pub struct Sandbox {
 }
 
 impl Sandbox {
-    /// A process without confinement.
-    pub fn off() -> Self {
-        let states = [const { State::Off }; _];
+    /// A process without confinement: where, or by what.
+    pub fn off(why: &'static str) -> Self {
+        let states = std::array::from_fn(|_| State::Off(why));
         Self { states, user: geteuid(), fixed: Arc::default(), _own_figures: Arc::default() }
     }
 
@@ -123,7 +124,8 @@ impl Sandbox {
     pub fn announce(&self) {
         let [memory, no_new_privs, capabilities, landlock, seccomp] =
             self.states.each_ref().map(State::label);
-        let whys = self.layers().filter_map(|(layer, state)| Some((layer.label(), state.why()?)));
+        let asked_for = self.layers().filter(|(_, state)| !matches!(state, State::Off(_)));
+        let whys = asked_for.filter_map(|(layer, state)| Some((layer.label(), state.why()?)));
         let whys: Vec<_> = whys.map(|(layer, why)| format!("{layer}: {why}")).collect();
         let why = if whys.is_empty() { None } else { Some(display(whys.join("; "))) };
         let user = self.user.as_raw();
@@ -141,7 +143,7 @@ impl Sandbox {
                 )
             };
         }
-        if self.states.iter().all(|state| *state == State::Off) {
+        if self.states.iter().all(|state| matches!(state, State::Off(_))) {
             say!(warn, "not confined");
             return;
         }

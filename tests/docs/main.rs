@@ -50,7 +50,8 @@ fn the_close_reasons_are_those_of_the_code() {
 
 #[test]
 fn every_metric_is_described_and_no_other() {
-    let scrape: String = Metrics::new(Arc::new(router()), Sandbox::off()).chunks().collect();
+    let scrape: String =
+        Metrics::new(Arc::new(router()), Sandbox::off("in a test")).chunks().collect();
     let exposed = scrape.lines().filter_map(|line| line.strip_prefix("# TYPE "));
     let exposed = exposed.filter_map(|line| line.split(' ').next());
     let exposed: BTreeSet<_> = exposed.filter(|name| name.starts_with("pnet_nat_")).collect();

@@ -49,6 +49,8 @@ mod rotation;
 mod scale;
 mod status;
 mod status_page;
+mod status_reach;
+mod status_views;
 mod stopping;
 mod translate;
 mod tunnel;

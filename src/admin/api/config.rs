@@ -49,6 +49,8 @@ struct ConfigInForce<'a> {
     control: Option<&'a Path>,
     /// Whether `POST /api/v1/probe` is enabled.
     admin_probe: bool,
+    /// What the status page is called.
+    admin_title: Option<&'a str>,
 }
 
 #[derive(Serialize)]
@@ -86,6 +88,7 @@ impl<'a> ConfigInForce<'a> {
             admin_reload: admin.as_ref().is_some_and(|admin| admin.reload),
             control: control.as_deref(),
             admin_probe: admin.as_ref().is_some_and(|admin| admin.probe),
+            admin_title: admin.as_ref().and_then(|admin| admin.title.as_deref()),
         }
     }
 }

@@ -11,14 +11,15 @@ use super::traffic::DirectionState;
 use crate::COMMIT;
 use crate::admin::Shared;
 use crate::config::{Changes, Config, NotInForce};
-use crate::datapath::LastReload;
+use crate::datapath::{ActiveConfig, LastReload};
 use crate::nat::{Direction, RESPONSE_BUCKETS, SourceSketch};
 use crate::observe::totals::{self, NodeTotals};
 use crate::sandbox::{self, Layer};
 
 /// `GET /api/v1/status`
 pub(in crate::admin) async fn status(State(shared): State<Shared>) -> Response {
-    Json(Status::of(&shared, &shared.router.last_reload())).into_response()
+    let (active, last_reload) = (shared.router.active_config(), shared.router.last_reload());
+    Json(Status::of(&shared, &active, &last_reload)).into_response()
 }
 
 /// The process, and what belongs to no net.
@@ -27,6 +28,8 @@ struct Status<'a> {
     version: &'static str,
     /// Null when it is not known.
     commit: Option<&'static str>,
+    /// What the status page is called; null: nothing.
+    title: Option<&'a str>,
     ready: bool,
     uptime_seconds: f64,
     reload: ReloadState<'a>,
@@ -96,17 +99,17 @@ struct LayerState<'a> {
 }
 
 impl<'a> Status<'a> {
-    fn of(shared: &'a Shared, last_reload: &'a LastReload) -> Self {
+    fn of(shared: &'a Shared, active: &'a ActiveConfig, last_reload: &'a LastReload) -> Self {
         let state = |(layer, state): (Layer, &'a sandbox::State)| LayerState {
             layer: layer.label(),
             state: state.label(),
             why: state.why(),
         };
-        let active = shared.router.active_config();
         let Config { table, limits, admin, .. } = &active.config;
         Self {
             version: env!("CARGO_PKG_VERSION"),
             commit: Some(COMMIT).filter(|commit| !commit.is_empty()),
+            title: admin.as_ref().and_then(|admin| admin.title.as_deref()),
             ready: shared.router.is_ready(),
             uptime_seconds: shared.router.started().elapsed().as_secs_f64(),
             reload: ReloadState::of(last_reload),

@@ -65,7 +65,8 @@ async fn demo(args: Args) -> anyhow::Result<ExitCode> {
     let (stop_admin, admin_stopped) = oneshot::channel::<()>();
     let admin_stopped = async { _ = admin_stopped.await };
     let admin = Listeners::from_std(Some(admin), None)?;
-    let serving = admin::serve(admin, Arc::clone(&router), None, Sandbox::off(), admin_stopped);
+    let serving =
+        admin::serve(admin, Arc::clone(&router), None, Sandbox::off("in the demo"), admin_stopped);
     let admin = tokio::spawn(serving);
 
     let mut observer = Observer::new(Arc::clone(&router));

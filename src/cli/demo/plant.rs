@@ -111,6 +111,7 @@ impl Plant {
                 metrics_without_token: false,
                 reload: false,
                 probe: true,
+                title: None,
             }),
             control: None,
             files: Vec::new(),

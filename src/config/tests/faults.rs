@@ -577,6 +577,22 @@ fn refuses_an_admin_server_that_answers_strangers() {
 }
 
 #[test]
+fn refuses_a_title_that_no_tab_has_room_for() {
+    let title = |title: &str| format!("admin.title = \"{title}\"\n[public]");
+    for wrong in ["", "a\\nb", &"x".repeat(61)] {
+        let Err(Faults(faults)) = read(&changed("[public]", &title(wrong))) else {
+            panic!("{wrong}")
+        };
+        let [fault] = faults.as_slice() else { panic!("{faults:#?}") };
+        assert_eq!((fault.line, fault.key.as_str()), (Some(1), "admin.title"), "{wrong}");
+    }
+    for right in ["Molkerei <b>Süd</b>", &"ä".repeat(60)] {
+        let (config, _) = read(&changed("[public]", &title(right))).unwrap();
+        assert_eq!(config.admin.unwrap().title.as_deref(), Some(right));
+    }
+}
+
+#[test]
 fn refuses_a_token_that_is_none() {
     let token = |file: &str| format!("admin.token_file = \"secrets/{file}\"\n[public]");
     for (file, part) in [

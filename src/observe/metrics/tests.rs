@@ -16,7 +16,9 @@ struct Scrape {
 
 impl Scrape {
     fn of(router: &Arc<Router>) -> Self {
-        Self::parse(&Metrics::new(router.clone(), Sandbox::off()).chunks().collect::<String>())
+        Self::parse(
+            &Metrics::new(router.clone(), Sandbox::off("in a test")).chunks().collect::<String>(),
+        )
     }
 
     /// Reads the text format. Panics unless each family is one block: HELP, TYPE, then its samples.
@@ -211,7 +213,7 @@ fn who_waits_for_an_answer_is_told_since_when_in_unix_time() {
 #[test]
 fn text_comes_net_by_net_and_only_when_asked_for() {
     let router = Router::idle(config(), 1);
-    let mut chunks = Metrics::new(router.clone(), Sandbox::off()).chunks();
+    let mut chunks = Metrics::new(router.clone(), Sandbox::off("in a test")).chunks();
     let first = chunks.next().unwrap();
     assert!(first.contains("section-1") && !first.contains("press"), "{first}");
     let active = router.active_config();
@@ -226,7 +228,7 @@ fn a_large_table_comes_in_pieces_that_are_small() {
     let mut config = config();
     config.table = crate::config::fixture::large_table(64);
     let (mut series, mut largest) = (0, 0);
-    for chunk in Metrics::new(Router::idle(config, 2), Sandbox::off()).chunks() {
+    for chunk in Metrics::new(Router::idle(config, 2), Sandbox::off("in a test")).chunks() {
         series += chunk.lines().filter(|line| !line.starts_with('#')).count();
         largest = largest.max(chunk.len());
     }

@@ -66,3 +66,22 @@ class Times {
   }
 }
 
+/** The traffic of a net, of a node, or of all. */
+class Traffic {
+  #requests = new Rate();
+  #answers = new Rate();
+  #times = new Times();
+  #before = null;
+
+  add(time, state) {
+    this.requests = this.#requests.add(time, state.request.forwarded_datagrams);
+    this.answers = this.#answers.add(time, state.response.forwarded_datagrams);
+    this.#times.add(state.response_times, time - (this.#before ?? time));
+    this.#before = time;
+  }
+
+  quantile(share) {
+    return this.#times.quantile(share);
+  }
+}
+

@@ -1,76 +1,4 @@
-// ── Nets and their nodes ────────────────────────────────────────────────────────────────────────
-
-/** What a net and a node have in common. */
-class Traffic {
-  #requests = new Rate();
-  #answers = new Rate();
-  #times = new Times();
-  #before = null;
-
-  add(time, state) {
-    this.requests = this.#requests.add(time, state.request.forwarded_datagrams);
-    this.answers = this.#answers.add(time, state.response.forwarded_datagrams);
-    this.#times.add(state.response_times, time - (this.#before ?? time));
-    this.#before = time;
-  }
-
-  quantile(share) {
-    return this.#times.quantile(share);
-  }
-}
-
-/** Columns of figures; on a phone they stand beside the figures. */
-const FIGURES = ["Requests", "Answers", "Median", "99 %", "Dropped"];
-
-/** A row of a net's table. */
-class NodeRow {
-  traffic = new Traffic();
-
-  constructor(node) {
-    this.node = node.node;
-    const at = node.local_address === null ? "" : `${node.local_address}:`;
-    const place = make("small", {}, `${at}${node.public_port} → ${node.server}`);
-    const head = make("th", { scope: "row" }, `${node.node}`, place);
-    this.mark = make("span", { "aria-hidden": "true" });
-    this.word = make("span");
-    this.since = make("small");
-    this.state = make("td", {}, this.mark, " ", this.word, this.since);
-    this.figures = FIGURES.map((title) =>
-      make("td", { class: "number", "data-title": title }, make("span")));
-    this.why = make("small");
-    this.figures.at(-1).append(this.why);
-    this.row = make("tr", { "data-node": node.node }, head, this.state, ...this.figures);
-  }
-
-  show(time, node) {
-    this.traffic.add(time, node);
-    const [mark, word] = STATES[node.state];
-    if (this.state.className !== node.state) this.state.className = node.state;
-    write(this.mark, mark);
-    write(this.word, word);
-    const [asked, answered] = [node.last_request_age_seconds, node.last_response_age_seconds];
-    const no_answer = asked === null ? "" : "no answer so far";
-    write(this.since, answered === null ? no_answer : `last answer ${age(answered)} ago`);
-    const dropped = drops(node.request, node.response);
-    const refused = node.state === "never_asked" ? refusals(node.request) : "";
-    if (refused) {
-      this.state.className = "refused";
-      write(this.mark, "▲");
-      write(this.word, "requests refused");
-      write(this.since, refused);
-    }
-    const texts = [
-      rate(this.traffic.requests),
-      rate(this.traffic.answers),
-      duration(this.traffic.quantile(0.5)),
-      duration(this.traffic.quantile(0.99)),
-      whole.format(total(dropped)),
-    ];
-    texts.forEach((text, i) => write(this.figures[i].firstChild, text));
-    const why = Object.entries(dropped).map(([reason, count]) => `${reason}: ${count}`);
-    write(this.why, why.join(", "));
-  }
-}
+// ── Nets ────────────────────────────────────────────────────────────────────────────────────────
 
 /** A net: a line, and below it, while it is open, its nodes. */
 class NetView {
@@ -79,9 +7,13 @@ class NetView {
   inSight = false;
   looking = false;
   wanted = null; // the node to go to when the nodes are drawn
+  silent = new Set();
+  stripsAt = -Infinity; // when the states of the day were asked for
+  wasOpen = null; // before the filter
 
-  constructor(net, open) {
+  constructor(net, open, canProbe) {
     this.name = net.name;
+    this.canProbe = canProbe;
     this.states = new Map();
     for (const state of Object.keys(STATES)) {
       this.states.set(state, make("span", { class: state }));
@@ -89,22 +21,29 @@ class NetView {
     const figures = () => make("span", { class: "figure" });
     this.figures = [figures(), figures(), figures(), figures()];
     const name = make("b", {}, net.name);
-    this.summary = make("summary", {}, name, ...this.states.values(), ...this.figures);
-    this.body = make("tbody");
+    const states = make("span", { class: "states" }, ...this.states.values());
+    this.summary = make("summary", {}, name, states, ...this.figures);
+    this.body = make("tbody", { class: "folded" });
     const column = (title, style) => make("th", { scope: "col", class: style }, title);
     const columns = [column("Node", ""), column("State", ""),
-      ...FIGURES.map((title) => column(title, "number"))];
+      column("24 hours", "day"), ...FIGURES.map((title) => column(title, "number"))];
+    this.fold = make("button", { type: "button", class: "fold", "aria-expanded": "false" });
+    this.fold.addEventListener("click", () => {
+      const isFolded = this.body.classList.toggle("folded");
+      this.fold.setAttribute("aria-expanded", !isFolded);
+    });
     const table = make("table", { "aria-label": `Nodes of ${net.name}` },
       make("thead", {}, make("tr", {}, ...columns)), this.body);
     const region = { class: "table", tabindex: "0", role: "region",
       "aria-label": `Nodes of ${net.name}` };
     this.details = make("details", { class: "net", "data-net": net.name }, this.summary,
-      make("div", region, table));
+      make("div", region, table), this.fold);
     this.details.open = open;
     this.details.addEventListener("toggle", () => {
       if (this.details.open && this.inSight) return this.look();
       if (this.details.open) return;
       this.wanted = null;
+      this.stripsAt = -Infinity;
       this.rows.clear();
       this.body.replaceChildren();
     });
@@ -112,8 +51,10 @@ class NetView {
 
   show(time, net) {
     this.traffic.add(time, net);
-    const silent = net.silent_nodes.length;
-    const counts = { answering: net.answering_nodes, silent, never_asked: net.never_asked_nodes };
+    this.silent = new Set(net.silent_nodes);
+    write(this.fold, `${whole.format(net.answering_nodes)} answering`);
+    this.fold.hidden = !net.answering_nodes;
+    const counts = { silent: this.silent.size, answering: net.answering_nodes, never_asked: net.never_asked_nodes };
     for (const [state, count] of Object.entries(counts)) {
       const [mark, word] = STATES[state];
       this.states.get(state).hidden = count === 0;
@@ -136,7 +77,10 @@ class NetView {
     try {
       const answer = await ask(`api/v1/nets?net=${encodeURIComponent(this.name)}`);
       const shown = answer && this.details.open; // a reload may have taken the net
-      if (shown) this.showNodes(performance.now() / 1000, answer.nets[0].nodes);
+      if (!shown) return;
+      const time = performance.now() / 1000;
+      this.showNodes(time, answer.nets[0].nodes);
+      if (time - this.stripsAt >= 60) await this.showStrips(time);
     } catch {
       // The next round tells what is wrong.
     } finally {
@@ -149,12 +93,44 @@ class NetView {
     this.rows = new Map();
     for (const state of states) {
       const key = `${state.node} ${state.public_port} ${state.server}`;
-      const row = before.get(key) ?? new NodeRow(state);
+      const row = before.get(key) ?? new NodeRow(this.name, state, this.canProbe);
       this.rows.set(key, row);
       row.show(time, state);
     }
-    arrange(this.body, [...this.rows.values()].map(({ row }) => row));
+    const sorted = [...this.rows.values()].sort((a, b) => a.rank - b.rank || a.node - b.node);
+    arrange(this.body, sorted.flatMap(({ rows }) => rows));
+    if (this.rows.size !== before.size) this.stripsAt = -Infinity; // some have none yet
     this.goToWanted();
+  }
+
+  /** How the nodes were over the day. */
+  async showStrips(time) {
+    this.stripsAt = time;
+    const answer = await ask(`api/v1/history?net=${encodeURIComponent(this.name)}`);
+    for (const row of this.rows.values()) {
+      const letters = answer?.nodes[row.node];
+      if (letters) row.strip.show(time, letters);
+    }
+  }
+
+  /** Shows itself when the filter leaves one of its nodes; says how many. */
+  filter(opens) {
+    const count = wantedOf(this.name, this.silent);
+    this.details.hidden = count === 0;
+    if (opens) {
+      this.wasOpen ??= this.details.open;
+      this.details.open = count > 0;
+      if (count > 0 && this.inSight) this.look();
+    }
+    return count;
+  }
+
+  unfilter() {
+    this.details.hidden = false;
+    if (this.wasOpen !== null) this.details.open = this.wasOpen;
+    this.wasOpen = null;
+    if (this.rows.size) this.look();
+    return 0;
   }
 
   /** Goes to the node that was asked for; to the net when it has that node no more. */
@@ -169,7 +145,6 @@ class NetView {
   }
 }
 
-let reasons = null;
 const nets = new Map();
 const sight = new IntersectionObserver((entries) => {
   for (const { target, isIntersecting } of entries) {
@@ -187,12 +162,27 @@ function showNets(time, states, status) {
   for (const state of states) {
     let net = before.get(state.name);
     if (!net) {
-      net = new NetView(state, status.public_ports <= FEW_PORTS);
+      net = new NetView(state, status.public_ports <= FEW_PORTS, status.probe);
       sight.observe(net.details);
     }
     nets.set(state.name, net);
+    if (net.canProbe !== status.probe) net.rows.clear(); // they are made anew
+    net.canProbe = status.probe;
     net.show(time, state);
   }
   arrange($("nets"), [...nets.values()].map(({ details }) => details));
+}
+
+/** Opens a net and goes to one of its nodes, as soon as that is drawn. */
+async function find(name, node) {
+  if (filterWords.length) {
+    $("filter").value = "";
+    await setFilter("");
+  }
+  const net = nets.get(name);
+  if (!net) return;
+  net.wanted = node;
+  net.details.open = true;
+  net.look();
 }
 

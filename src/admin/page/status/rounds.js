@@ -2,14 +2,17 @@
 
 let timer = 0;
 let running = false;
-let last = null; // the last answers, and the time of day
+let started = null; // when the relay did, by its own count
 
 async function poll() {
   reasons ??= await ask("api/v1/drop-reasons");
   const [status, { nets: states }] =
     await Promise.all([ask("api/v1/status"), ask("api/v1/nets?nodes=false")]);
   const time = performance.now() / 1000;
-  last = { status, states, at: new Date().toLocaleTimeString() };
+  if (started !== null && Math.abs(time - status.uptime_seconds - started) > 5) events = [];
+  started = time - status.uptime_seconds;
+  if (last && time - last.time > pause) filled = -Infinity;
+  last = { status, states, time, at: new Date().toLocaleTimeString() };
   $("status").hidden = false;
   $("status").className = "";
   $("token-form").hidden = true;
@@ -18,14 +21,20 @@ async function poll() {
   const kernel = drops(
     ...states.map((net) => named("kernel: ", net.kernel_dropped_datagrams)),
     named("kernel: upstream ", status.upstream_kernel_dropped_datagrams));
-  showBanner(status, states, null);
+  await readRefused(time, JSON.stringify(states.map((net) => drops(net.request))));
+  showBanner(status, states, null, time);
+  showRefused(time);
   showTiles(time, status, states, dropped);
+  await showPlots(time);
   showNets(time, states, status);
+  if (filterWords.length) await applyFilter();
   showDrops(time, { ...dropped, ...kernel });
   showRelay(status);
   for (const net of nets.values()) {
     if (net.details.open && net.inSight) await net.look();
   }
+  await connected.round();
+  await happened.round();
 }
 
 async function round() {
@@ -42,7 +51,7 @@ async function round() {
     }
     if (last) {
       $("status").className = "stale";
-      showBanner(last.status, last.states, last.at);
+      showBanner(last.status, last.states, last.at, performance.now() / 1000);
     } else {
       write($("process"), `No answer: ${error.message}`);
     }

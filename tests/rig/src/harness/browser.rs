@@ -85,6 +85,23 @@ impl Browser {
         assert!(found.is_ok(), "{selector} shows {shown:?}, not {text:?}");
     }
 
+    /// Has what the API says replaced in part in all pages that are opened from now on: by path, the
+    /// members that take the place of those of the answer.
+    pub fn pretend(&self, answers: &Value) {
+        let script = format!(
+            "const pretended = {answers};
+            const askTheRelay = window.fetch;
+            window.fetch = async (path, options) => {{
+                const answer = await askTheRelay(path, options);
+                const members = pretended[new URL(path, location).pathname];
+                if (!members) return answer;
+                const all = answer.ok ? await answer.json() : {{}};
+                return Response.json({{ ...all, ...members }});
+            }};"
+        );
+        self.devtools("Page.addScriptToEvaluateOnNewDocument", &json!({ "source": script }));
+    }
+
     /// Presses a key or types a text, wherever the focus is (WebDriver, 17.4.2).
     pub fn press(&self, keys: &str) {
         let press = |key: char| {
