@@ -10,6 +10,8 @@
 //! line and path of each value, and a value that cannot be read counts as absent while reading goes on.
 
 mod address;
+#[cfg(test)]
+mod asked;
 mod changes;
 mod credentials;
 mod defaults;

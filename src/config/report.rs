@@ -133,6 +133,8 @@ pub(super) struct Report<'a> {
     known: RefCell<BTreeMap<String, Vec<&'static str>>>,
     faults: RefCell<Noted>,
     warnings: RefCell<Noted>,
+    #[cfg(test)]
+    pub(super) asked: super::asked::Asked,
 }
 
 impl<'a> Report<'a> {
@@ -144,6 +146,8 @@ impl<'a> Report<'a> {
             known: RefCell::default(),
             faults: RefCell::default(),
             warnings: RefCell::default(),
+            #[cfg(test)]
+            asked: super::asked::Asked::default(),
         }
     }
 

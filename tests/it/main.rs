@@ -39,6 +39,7 @@ mod relaying;
 mod reloading;
 mod request;
 mod scale;
+mod schema;
 mod status;
 mod status_page;
 mod stopping;

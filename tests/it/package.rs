@@ -212,6 +212,7 @@ fn installed_and_not_started(service: &Service) {
         "/usr/share/zsh/vendor-completions/_pnet-nat",
         "/usr/share/fish/vendor_completions.d/pnet-nat.fish",
         "/etc/fail2ban/filter.d/pnet-nat.conf",
+        "/etc/pnet-nat/pnet-nat.schema.json",
     ] {
         assert!(listed.lines().any(|line| line == file), "{listed}");
     }
@@ -386,7 +387,7 @@ fn removed(service: &Service) {
     machine.run(&["ls", "/etc/pnet-nat/pnet-nat.toml", "/etc/pnet-nat/secrets/section-1"]);
     machine.run(&["dpkg", "--purge", "pnet-nat"]);
     let left = machine.shell(
-        "cd / && find etc usr/bin usr/lib/systemd usr/share/doc var/lib/systemd var/lib/dpkg/info \
+        "cd / && find etc usr/bin usr/lib/systemd usr/share var/lib/systemd var/lib/dpkg/info \
          -path '*pnet-nat*'",
     );
     let left: Vec<_> = left.lines().filter(|file| !file.contains("pnet-nat.service.d")).collect();

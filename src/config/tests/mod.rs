@@ -9,6 +9,7 @@ mod ip_net_table;
 mod profinet_device;
 mod reference;
 mod remote_net;
+mod schema;
 mod size;
 mod syntax;
 
