@@ -1,7 +1,8 @@
 //! The configuration: what `pnet-nat run`, `check` and `demo` work from.
 //!
 //! TOML text becomes a [`Config`] that holds nothing to check again, or [`Faults`]: all of them in
-//! one run, each with its line, its key and what to do. `config/pnet-nat.toml` describes the keys.
+//! one run, each with its line, its key and what to do. `config/pnet-nat.toml` describes the keys. A small
+//! relay can have the main ones as environment variables.
 //! A client's IPNetTable, which `pnet-nat translate`, `request` and `node` work from, is read in the same way.
 //!
 //! The tables of the TOML are read key by key instead of by `serde`. `serde` stops at the first fault,
@@ -15,6 +16,7 @@ mod asked;
 mod changes;
 mod credentials;
 mod defaults;
+mod environment;
 mod excerpt;
 mod file;
 #[cfg(test)]
@@ -35,6 +37,7 @@ mod report;
 mod restart;
 mod secret;
 mod sections;
+mod source;
 mod syntax;
 #[cfg(test)]
 mod tests;
@@ -58,30 +61,20 @@ use toml_table::Section;
 
 pub(crate) use changes::runs;
 pub use changes::{Changes, NotInForce};
+pub use environment::Environment;
 #[cfg(feature = "cli")]
 pub(crate) use ip_net_table::row_as_toml as ip_net_as_toml;
 pub use ip_net_table::{Passwords, load as load_ip_net_table, parse as parse_ip_net_table};
 pub use model::{Admin, Config, Datapath, Log, NotAPrefilter, Prefilter, Runtime};
 pub use node_range::{NodeRange, NotANodeRange};
-pub use peek::{AdminPlace, admin_place, user};
+pub use peek::{AdminPlace, admin_place};
 pub use report::{Fault, Faults, Warning};
 pub use restart::keep_settled;
 #[cfg(feature = "cli")]
 pub(crate) use secret::read_password;
+pub use source::{Source, TwoSources, USUAL_FILE};
 pub use text::read_text;
 pub use token::{NotAToken, Token};
-
-/// Reads a configuration file and the password files that it names, and asks this host about the
-/// servers.
-pub fn load(path: &Path) -> Result<(Config, Vec<Warning>), Faults> {
-    parse_on(&read_text(path)?, path, &ThisHost, None)
-}
-
-/// The same for a relay that has this table in force: the host is asked only about servers that are not
-/// in it.
-pub fn load_again(path: &Path, in_force: &Table) -> Result<(Config, Vec<Warning>), Faults> {
-    parse_on(&read_text(path)?, path, &ThisHost, Some(in_force))
-}
 
 /// Reads a configuration from text as if it were the file `path`. Does not ask this host about the
 /// servers.

@@ -23,9 +23,9 @@ const MOST_SHOWN: usize = 100;
 /// Something in the configuration that keeps the relay from starting.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Fault {
-    /// The configuration file.
+    /// The configuration file, or the environment variable in its place.
     pub file: PathBuf,
-    /// Line in it, from 1; none when the file could not be read at all.
+    /// Line in it, from 1; none when the file could not be read at all, and for a variable.
     pub line: Option<usize>,
     /// Path of the key, like `udp_range_net[1].password[0].file`; empty when the fault belongs to
     /// no key.

@@ -18,6 +18,7 @@ mod decode;
 mod decode_profinet;
 mod drops;
 mod early_signals;
+mod environment;
 mod fail2ban;
 mod failover;
 mod faults;

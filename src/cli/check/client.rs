@@ -28,15 +28,15 @@ const EXAMPLE_NODE: u8 = 4;
 const EXAMPLE_ROUTER: u8 = 1;
 
 /// A row that leads to a net, as far as the relay knows it.
-struct Row<'a> {
-    net: &'a Net,
-    nettype: Nettype,
+pub(super) struct Row<'a> {
+    pub(super) net: &'a Net,
+    pub(super) nettype: Nettype,
     /// The subnet of a remote net; none: the relay's public address.
-    local_subnet: Option<Ipv4Addr>,
-    udp_port: u16,
-    use_password: bool,
+    pub(super) local_subnet: Option<Ipv4Addr>,
+    pub(super) udp_port: u16,
+    pub(super) use_password: bool,
     /// The node, if the row reaches only this one.
-    only: Option<u8>,
+    pub(super) only: Option<u8>,
 }
 
 /// PAS 8, Table 4: the row that leads to each net.
@@ -140,7 +140,7 @@ pub(super) fn remarks_on_servers(config: &Config) -> impl Iterator<Item = String
 }
 
 /// The row of each net that a row can reach.
-fn rows(config: &Config) -> impl Iterator<Item = Row<'_>> {
+pub(super) fn rows(config: &Config) -> impl Iterator<Item = Row<'_>> {
     let nets = config.table.mappings().chunk_by(|a, b| a.net == b.net);
     nets.filter_map(|mappings| {
         let (first, net) = (&mappings[0], config.table.net(mappings[0].net));

@@ -1,73 +1,121 @@
 //! `pnet-nat check`: every fault of a configuration, or the NAT table that it results in.
 //!
-//! Opens none of the relay's ports. Faults and warnings go to stderr, tables to stdout.
+//! Opens none of the relay's ports. Faults and warnings go to stderr, tables to stdout; in JSON, all of it
+//! is one object on stdout.
 
 mod client;
+mod json;
 
+use std::fmt::Display;
 use std::io::Write;
 use std::net::{IpAddr, SocketAddr};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::builder::BoolishValueParser;
 use comfy_table::Table;
 use ipnet::{IpNet, Ipv4Net};
 
-use super::output::{out, plain_table};
-use super::{BAD_USE, complain, load, told};
-use crate::config::{self, Config, Warning};
+use super::output::{Format, out, plain_table, print_json};
+use super::{BAD_USE, WITHOUT_FILE, complain, exit_code_of};
+use crate::config::{Config, Faults, Source, TwoSources, Warning};
+use crate::logging::complain_of_faults;
 use crate::nat::{Mapping, Net, NetKind};
 use crate::sandbox::{self, User, UserError};
 
 /// Check a configuration: show every fault, or the NAT table and the clients' IPNetTable rows.
 #[derive(Debug, clap::Args)]
-#[command(after_help = "Example:  pnet-nat check --config /etc/pnet-nat/pnet-nat.toml")]
+#[command(after_help = format!(
+    "Example:  pnet-nat check --config /etc/pnet-nat/pnet-nat.toml\n{WITHOUT_FILE}"
+))]
 pub(super) struct Args {
-    /// The configuration file; config/pnet-nat.toml explains every key.
+    /// The configuration file; config/pnet-nat.toml explains every key [default:
+    /// /etc/pnet-nat/pnet-nat.toml].
     #[arg(long, value_name = "FILE", env = "PNET_NAT_CONFIG")]
-    config: PathBuf,
+    config: Option<PathBuf>,
     /// Show one line for each node, instead of one for each run of consecutive nodes.
     #[arg(long, env = "PNET_NAT_FULL", value_parser = BoolishValueParser::new())]
     full: bool,
+    /// Output: tables for people, or one JSON object with faults, warnings, NAT table, nets and clients' rows.
+    #[arg(long, value_enum, default_value_t = Format::Text, env = "PNET_NAT_FORMAT")]
+    format: Format,
 }
 
 /// Prints all faults and returns exit code 2, or prints the warnings, the NAT table and the
 /// clients' IPNetTable rows.
 pub(super) fn run(args: Args) -> anyhow::Result<ExitCode> {
-    let (config, warnings) = match read(&args.config) {
-        Ok(sound) => sound,
-        Err(code) => return Ok(code),
-    };
-    for warning in warnings {
-        complain(format_args!("warning: {warning}"));
+    let mut remarks = Vec::new();
+    let source = Source::choose(args.config.as_deref()).map_err(Refusal::from);
+    let checked = source.and_then(|source| check(&source, &mut remarks));
+    let code = checked.as_ref().map_or_else(Refusal::code, |_| ExitCode::SUCCESS);
+    if args.format == Format::Json {
+        print_json(&json::object(&checked, &remarks), &mut out())?;
+        return Ok(code);
     }
-    for link in sandbox::movable_links(&config.files) {
-        complain(format_args!("warning: {link}"));
+    match checked {
+        Err(refusal) => {
+            remarks.iter().for_each(|remark| warn(remark));
+            refusal.complain();
+        }
+        Ok((config, warnings)) => {
+            warnings.iter().for_each(|warning| warn(warning));
+            remarks.iter().for_each(|remark| warn(remark));
+            out().write_all(summary(&config, args.full).as_bytes())?;
+        }
     }
-    out().write_all(summary(&config, args.full).as_bytes())?;
-    Ok(ExitCode::SUCCESS)
+    Ok(code)
+}
+
+fn warn(text: impl Display) {
+    complain(format_args!("warning: {text}"));
+}
+
+/// Why there is no configuration.
+#[derive(Debug, thiserror::Error)]
+enum Refusal {
+    #[error(transparent)]
+    Faults(#[from] Faults),
+    #[error(transparent)]
+    User(#[from] UserError),
+    #[error(transparent)]
+    TwoSources(#[from] TwoSources),
+}
+
+impl Refusal {
+    fn code(&self) -> ExitCode {
+        match self {
+            Self::Faults(faults) => exit_code_of(faults),
+            Self::User(_) | Self::TwoSources(_) => ExitCode::from(BAD_USE),
+        }
+    }
+
+    fn complain(&self) {
+        match self {
+            Self::Faults(faults) => complain_of_faults(faults),
+            Self::User(_) | Self::TwoSources(_) => complain(format_args!("pnet-nat: {self}")),
+        }
+    }
 }
 
 /// Reads it as the relay would: with the rights of `[runtime] user`, and without root's right to read any
-/// file.
-fn read(path: &Path) -> Result<(Config, Vec<Warning>), ExitCode> {
+/// file. What is to be said of this host beside the warnings goes to `remarks`.
+fn check(source: &Source, remarks: &mut Vec<String>) -> Result<(Config, Vec<Warning>), Refusal> {
     let _prepared = sandbox::prepare();
-    let text = told(config::read_text(path))?;
-    let Some(name) = config::user(&text) else { return load(path) };
-    let bad_use = |error: UserError| {
-        complain(format_args!("pnet-nat: {error}"));
-        ExitCode::from(BAD_USE)
+    let read = match source.user()? {
+        None => source.load(),
+        Some(name) => match User::find(&name)?.act(|| source.load()) {
+            Err(UserError::NotRoot(user)) => {
+                remarks.push(format!(
+                    "whether {user:?} may read the files is not checked; only root can: run check as root"
+                ));
+                source.load()
+            }
+            read => read?,
+        },
     };
-    match User::find(&name).map_err(bad_use)?.act(|| load(path)) {
-        Ok(read) => read,
-        Err(UserError::NotRoot(user)) => {
-            complain(format_args!(
-                "warning: whether {user:?} may read the files is not checked; only root can: run check as root"
-            ));
-            load(path)
-        }
-        Err(error) => Err(bad_use(error)),
-    }
+    let (config, warnings) = read?;
+    remarks.extend(sandbox::movable_links(&config.files).iter().map(ToString::to_string));
+    Ok((config, warnings))
 }
 
 fn summary(config: &Config, full: bool) -> String {

@@ -51,6 +51,11 @@ name = "service"
 file = "secrets/a"
 "#;
 
+/// Reads a file, and what it names.
+fn load(path: &Path) -> Result<(Config, Vec<Warning>), Faults> {
+    Source::File(path.to_owned()).load()
+}
+
 /// A folder with the password files that the cases name.
 fn folder() -> TempDir {
     let folder = tempfile::tempdir().unwrap();
