@@ -124,11 +124,6 @@ impl Environment {
         SECTIONS.iter().flat_map(|(_, _, variables)| *variables).map(|variable| variable.name)
     }
 
-    /// The configuration as TOML.
-    pub fn as_toml(&self) -> &str {
-        &self.text
-    }
-
     /// Reads it, and the files that it names, and asks this host about the servers.
     pub(super) fn load(&self, in_force: Option<&Table>) -> Read {
         self.read_on(&ThisHost, in_force)
@@ -244,7 +239,7 @@ mod tests {
         assert_eq!(warnings, []);
         assert_eq!(config.listen, ["0.0.0.0".parse::<std::net::IpAddr>().unwrap()]);
         let net = &config.table.nets()[0];
-        assert_eq!((net.name.as_str(), net.allow.iter().count()), ("section-1", 2));
+        assert_eq!((net.name.as_str(), net.allow.len()), ("section-1", 2));
         let nodes = config.table.mappings().iter().map(|mapping| mapping.node_address);
         assert!(nodes.eq([1, 2, 3, 4, 33]));
         assert_eq!(config.files.len(), 1, "the password file alone");
@@ -274,9 +269,9 @@ mod tests {
     #[test]
     fn the_usual_password_file_is_the_secret_of_the_net() {
         let usual = of(&[("PNET_NAT_SUBNET", "172.17.17.0")]).unwrap();
-        assert!(usual.as_toml().contains("file = \"/run/secrets/section-1\"\n"));
+        assert!(usual.text.contains("file = \"/run/secrets/section-1\"\n"));
         let press = of(&[("PNET_NAT_SUBNET", "172.17.17.0"), ("PNET_NAT_NET", "press")]).unwrap();
-        assert!(press.as_toml().contains("file = \"/run/secrets/press\"\n"));
+        assert!(press.text.contains("file = \"/run/secrets/press\"\n"));
     }
 
     #[test]

@@ -54,12 +54,12 @@ pub(super) fn run(args: Args) -> anyhow::Result<ExitCode> {
     }
     match checked {
         Err(refusal) => {
-            remarks.iter().for_each(|remark| warn(remark));
+            remarks.iter().for_each(warn);
             refusal.complain();
         }
         Ok((config, warnings)) => {
-            warnings.iter().for_each(|warning| warn(warning));
-            remarks.iter().for_each(|remark| warn(remark));
+            warnings.iter().for_each(warn);
+            remarks.iter().for_each(warn);
             out().write_all(summary(&config, args.full).as_bytes())?;
         }
     }
