@@ -1,11 +1,10 @@
-//! Reads the configuration file again while the relay runs. The new configuration comes into force
+//! Reads the configuration again while the relay runs. The new configuration comes into force
 //! or is refused. Either way, the log reports the result. Only one reload runs at a time.
 //!
 //! A thread that does nothing else reads the files, because they may be on a disk that is stuck.
 //! Then the reload is given up after a while, and its configuration never comes into force. Later
 //! reloads are refused until the thread has finished reading.
 
-use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering::SeqCst};
 use std::sync::mpsc::{self, RecvTimeoutError};
@@ -15,7 +14,7 @@ use tokio::sync::{Mutex, oneshot};
 use tokio::time::timeout;
 use tracing::warn;
 
-use crate::config::{self, Changes, Config, Faults, Warning};
+use crate::config::{Changes, Config, Faults, Source, Warning};
 use crate::datapath::{Reloaded, Router, Stopping};
 use crate::listen::chain;
 use crate::logging::{list, log_faults};
@@ -80,10 +79,10 @@ enum Order {
 type Read = Result<(Config, Vec<Warning>), Faults>;
 
 impl Reloader {
-    /// Starts the thread. Each reload for `router` then reads the file at `path`.
-    pub fn start(path: PathBuf, router: Arc<Router>) -> Result<Self, ThreadError> {
+    /// Starts the thread. Each reload for `router` then reads this configuration.
+    pub fn start(source: Source, router: Arc<Router>) -> Result<Self, ThreadError> {
         let of = Arc::clone(&router);
-        let read = move || config::load_again(&path, &of.active_config().config.table);
+        let read = move || source.load_again(&of.active_config().config.table);
         Self::reading(read, READING_TIME, router)
     }
 

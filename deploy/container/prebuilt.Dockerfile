@@ -19,9 +19,8 @@ LABEL org.opencontainers.image.title="pnet-nat" \
       org.opencontainers.image.revision="$PNET_NAT_COMMIT"
 # By number, so that Kubernetes sees that it is not root. Password files have to be this user's.
 USER 65532:65532
-# The configuration goes into this folder, which is mounted whole: files that are exchanged in it are
-# seen at the next reload.
-ENV PNET_NAT_CONFIG=/etc/pnet-nat/pnet-nat.toml
+# The configuration is /etc/pnet-nat/pnet-nat.toml. Its folder is mounted whole: files that are exchanged in
+# it are seen at the next reload. Without a file, environment variables such as PNET_NAT_SUBNET will do.
 # Asks where [admin] of the configuration says; PNET_NAT_HEALTHCHECK_URL names another place.
 HEALTHCHECK --interval=10s --timeout=5s CMD ["/usr/bin/pnet-nat", "healthcheck"]
 ENTRYPOINT ["/usr/bin/pnet-nat"]

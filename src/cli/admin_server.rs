@@ -24,9 +24,8 @@ use tokio::sync::oneshot;
 use tokio::task::JoinSet;
 use tokio::time::timeout;
 
-use super::CONFIG;
 use crate::admin::control;
-use crate::config::{self, Token};
+use crate::config::{self, Token, USUAL_FILE};
 use crate::harmless::harmless;
 use crate::thread;
 
@@ -79,12 +78,12 @@ impl Place {
         if let Some(url) = url {
             return Ok((Self::of_url(url), None));
         }
-        let file = file.unwrap_or(Path::new(CONFIG));
+        let file = file.unwrap_or(Path::new(USUAL_FILE));
         // The relay reports the faults of the file, and only its user may be able to read it.
         let text = config::read_text(file).unwrap_or_default();
         let admin = config::admin_place(&text);
         let beside = file.parent().unwrap_or(Path::new(""));
-        let of_package = || (file == Path::new(CONFIG)).then(|| CONTROL.into());
+        let of_package = || (file == Path::new(USUAL_FILE)).then(|| CONTROL.into());
         let control = admin.control.map(|control| beside.join(control));
         let control = control.or_else(control::of_the_service).or_else(of_package);
         let usable = |control: &PathBuf| access(control, AccessFlags::W_OK).is_ok();

@@ -33,7 +33,7 @@ use std::process::ExitCode;
 use anyhow::anyhow;
 use clap::{Parser, Subcommand};
 
-use crate::config::{self, Config, Faults, Passwords, Warning};
+use crate::config::{self, Config, Faults, Passwords, Source, Warning};
 use crate::logging::{self, LogFormat, LogLevel, complain};
 use crate::pnet::ip_net_table::IpNetTable;
 use crate::pnet::wire::Password;
@@ -97,14 +97,15 @@ enum Command {
     Man(documentation::Man),
 }
 
-/// The configuration file of the service that the package installs, and the default of all commands.
-const CONFIG: &str = "/etc/pnet-nat/pnet-nat.toml";
-
 /// Bad command line or configuration.
 const BAD_USE: u8 = 2;
 
 /// Not started for a reason that may go away by itself (EX_TEMPFAIL of sysexits.h).
 const TRY_AGAIN: u8 = 75;
+
+/// What run and check say of a configuration without a file.
+const WITHOUT_FILE: &str = "Without a file, PNET_NAT_SUBNET, PNET_NAT_NODES, PNET_NAT_ALLOW and others in \
+    the environment configure a small relay; docs/container.md has them all.";
 
 /// Heading of the options that every command has.
 const LOGGING: &str = "Logging";
@@ -175,18 +176,29 @@ fn is_broken_pipe(error: &anyhow::Error) -> bool {
     io_errors.any(|error| error.kind() == ErrorKind::BrokenPipe)
 }
 
+/// Where the configuration is; otherwise says why that is not clear, and returns the exit code.
+fn source(config: Option<&Path>) -> Result<Source, ExitCode> {
+    Source::choose(config).map_err(|two| {
+        complain(format_args!("pnet-nat: {two}"));
+        ExitCode::from(BAD_USE)
+    })
+}
+
 /// Reads a configuration; otherwise prints its faults and returns the exit code.
-fn load(path: &Path) -> Result<(Config, Vec<Warning>), ExitCode> {
-    told(config::load(path))
+fn load(source: &Source) -> Result<(Config, Vec<Warning>), ExitCode> {
+    told(source.load())
 }
 
 /// What was read; otherwise prints the faults and returns the exit code.
 fn told<T>(read: Result<T, Faults>) -> Result<T, ExitCode> {
     read.map_err(|faults| {
-        let code = if faults.pass() { TRY_AGAIN } else { BAD_USE };
         logging::complain_of_faults(&faults);
-        ExitCode::from(code)
+        exit_code_of(&faults)
     })
+}
+
+fn exit_code_of(faults: &Faults) -> ExitCode {
+    ExitCode::from(if faults.pass() { TRY_AGAIN } else { BAD_USE })
 }
 
 /// Reads a client's IPNetTable with its passwords, and prints the warnings; otherwise prints its faults

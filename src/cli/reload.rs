@@ -13,10 +13,10 @@ use nix::unistd::Pid;
 use serde_json::Value;
 use tokio::time::sleep;
 
+use super::BAD_USE;
 use super::admin_server::{self, AdminServer};
 use super::output::out;
-use super::{BAD_USE, CONFIG};
-use crate::config::{self, Fault};
+use crate::config::{self, Fault, USUAL_FILE};
 use crate::harmless::harmless_lines;
 use crate::logging::{complain, complain_of_faults};
 
@@ -95,7 +95,7 @@ fn has_faults(args: &Args) -> bool {
     let admin_server::Options { url, config, .. } = &args.relay;
     let file = match (config, url) {
         (Some(file), _) => file.as_path(),
-        (None, None) => Path::new(CONFIG),
+        (None, None) => Path::new(USUAL_FILE),
         (None, Some(_)) => return false,
     };
     let Ok(text) = config::read_text(file) else { return false };

@@ -4,7 +4,7 @@ use std::future;
 use std::io;
 use std::net::TcpListener;
 use std::os::unix::net::UnixListener;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::thread;
@@ -16,10 +16,10 @@ use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio::sync::Notify;
 
 use super::signals::{Signals, let_hangup_through};
-use super::{BAD_USE, CONFIG, TRY_AGAIN, complain, load, told};
+use super::{BAD_USE, TRY_AGAIN, WITHOUT_FILE, complain, load, source, told};
 use crate::admin::control::{self, ControlError, ControlFile};
 use crate::admin::{self, Listeners};
-use crate::config::{self, Admin, Config, Warning};
+use crate::config::{Admin, Config, Source, Warning};
 use crate::datapath::{Bound, Router, StartError};
 use crate::listen::{self, ListenError};
 use crate::logging;
@@ -40,11 +40,14 @@ const ADDRESS_LOOK: Duration = Duration::from_millis(100);
 /// SIGTERM or SIGINT stops it: it takes no more requests, waits for answers that are still due, and exits
 /// 0. A second signal stops it at once. On SIGHUP it reads its configuration again.
 #[derive(clap::Args)]
-#[command(after_help = "Example:  pnet-nat run --config /etc/pnet-nat/pnet-nat.toml")]
+#[command(after_help = format!(
+    "Example:  pnet-nat run --config /etc/pnet-nat/pnet-nat.toml\n{WITHOUT_FILE}"
+))]
 pub(super) struct Args {
-    /// The configuration file; config/pnet-nat.toml explains every key.
-    #[arg(short, long, value_name = "FILE", env = "PNET_NAT_CONFIG", default_value = CONFIG)]
-    config: PathBuf,
+    /// The configuration file; config/pnet-nat.toml explains every key [default:
+    /// /etc/pnet-nat/pnet-nat.toml].
+    #[arg(short, long, value_name = "FILE", env = "PNET_NAT_CONFIG")]
+    config: Option<PathBuf>,
     /// Run without confinement: for debugging, and to find out whether the confinement causes a fault.
     #[arg(
         long,
@@ -65,7 +68,11 @@ pub(super) fn run(args: &Args) -> anyhow::Result<ExitCode> {
     let_hangup_through();
     service::connect();
     let prepared = (!args.no_sandbox).then(sandbox::prepare);
-    let (config, warnings, user) = match read(&args.config, prepared.is_some()) {
+    let source = match source(args.config.as_deref()) {
+        Ok(source) => source,
+        Err(code) => return Ok(code),
+    };
+    let (config, warnings, user) = match read(&source, prepared.is_some()) {
         Ok(sound) => sound,
         Err(code) => return Ok(code),
     };
@@ -93,7 +100,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<ExitCode> {
     let start_threads = || -> anyhow::Result<_> {
         logging::in_background()?;
         let router = Arc::new(router.start()?);
-        let reloader = Reloader::start(args.config.clone(), Arc::clone(&router))?;
+        let reloader = Reloader::start(source, Arc::clone(&router))?;
         Ok((router, reloader))
     };
     let (router, reloader) = match start_threads() {
@@ -105,15 +112,17 @@ pub(super) fn run(args: &Args) -> anyhow::Result<ExitCode> {
 
 /// The configuration, its warnings, and the user to become, if there is one. Then the configuration is read
 /// with that user's rights.
-fn read(path: &Path, becomes_user: bool) -> Result<(Config, Vec<Warning>, Option<User>), ExitCode> {
-    let text = told(config::read_text(path))?;
-    let Some(name) = config::user(&text).filter(|_| becomes_user) else {
-        let (config, warnings) = load(path)?;
+fn read(
+    source: &Source,
+    becomes_user: bool,
+) -> Result<(Config, Vec<Warning>, Option<User>), ExitCode> {
+    let Some(name) = told(source.user())?.filter(|_| becomes_user) else {
+        let (config, warnings) = load(source)?;
         return Ok((config, warnings, None));
     };
     let user = User::find(&name).map_err(refuse)?;
     // Each reload will read it with these rights.
-    let (config, warnings) = user.act(|| load(path)).map_err(refuse)??;
+    let (config, warnings) = user.act(|| load(source)).map_err(refuse)??;
     Ok((config, warnings, Some(user)))
 }
 

@@ -1,7 +1,8 @@
 //! The configuration: what `pnet-nat run`, `check` and `demo` work from.
 //!
 //! TOML text becomes a [`Config`] that holds nothing to check again, or [`Faults`]: all of them in
-//! one run, each with its line, its key and what to do. `config/pnet-nat.toml` describes the keys.
+//! one run, each with its line, its key and what to do. `config/pnet-nat.toml` describes the keys. A small
+//! relay can have the main ones as environment variables.
 //! A client's IPNetTable, which `pnet-nat translate`, `request` and `node` work from, is read in the same way.
 //!
 //! The tables of the TOML are read key by key instead of by `serde`. `serde` stops at the first fault,
@@ -10,9 +11,12 @@
 //! line and path of each value, and a value that cannot be read counts as absent while reading goes on.
 
 mod address;
+#[cfg(test)]
+mod asked;
 mod changes;
 mod credentials;
 mod defaults;
+mod environment;
 mod excerpt;
 mod file;
 #[cfg(test)]
@@ -35,6 +39,7 @@ mod report;
 mod restart;
 mod secret;
 mod sections;
+mod source;
 mod syntax;
 #[cfg(test)]
 mod tests;
@@ -58,6 +63,7 @@ use toml_table::Section;
 
 pub(crate) use changes::runs;
 pub use changes::{Changes, NotInForce};
+pub use environment::Environment;
 #[cfg(feature = "cli")]
 pub(crate) use file::shell_quoted;
 #[cfg(feature = "cli")]
@@ -69,25 +75,14 @@ pub(crate) use name::is_name;
 #[cfg(feature = "cli")]
 pub(crate) use new_password::new_password;
 pub use node_range::{NodeRange, NotANodeRange};
-pub use peek::{AdminPlace, admin_place, user};
+pub use peek::{AdminPlace, admin_place};
 pub use report::{Fault, Faults, Warning};
 pub use restart::keep_settled;
 #[cfg(feature = "cli")]
 pub(crate) use secret::read_password;
+pub use source::{Source, TwoSources, USUAL_FILE};
 pub use text::read_text;
 pub use token::{NotAToken, Token};
-
-/// Reads a configuration file and the password files that it names, and asks this host about the
-/// servers.
-pub fn load(path: &Path) -> Result<(Config, Vec<Warning>), Faults> {
-    parse_on(&read_text(path)?, path, &ThisHost, None)
-}
-
-/// The same for a relay that has this table in force: the host is asked only about servers that are not
-/// in it.
-pub fn load_again(path: &Path, in_force: &Table) -> Result<(Config, Vec<Warning>), Faults> {
-    parse_on(&read_text(path)?, path, &ThisHost, Some(in_force))
-}
 
 /// Reads a configuration from text as if it were the file `path`. Does not ask this host about the
 /// servers.

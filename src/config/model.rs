@@ -96,16 +96,15 @@ impl FromStr for Prefilter {
     type Err = NotAPrefilter;
 
     fn from_str(text: &str) -> Result<Self, NotAPrefilter> {
-        match text {
-            "auto" => Ok(Self::Auto),
-            "always" => Ok(Self::Always),
-            "off" => Ok(Self::Off),
-            _ => Err(NotAPrefilter),
-        }
+        let named = Self::ALL.into_iter().find(|prefilter| prefilter.label() == text);
+        named.ok_or(NotAPrefilter)
     }
 }
 
 impl Prefilter {
+    /// All that there are.
+    pub const ALL: [Self; 3] = [Self::Auto, Self::Always, Self::Off];
+
     /// The name that the configuration has for it.
     pub const fn label(self) -> &'static str {
         match self {

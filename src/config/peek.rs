@@ -8,7 +8,7 @@ use toml::de::DeTable;
 use super::defaults::ADMIN_LISTEN;
 
 /// `[runtime] user`: the rest of the configuration is read with the rights of this user.
-pub fn user(text: &str) -> Option<String> {
+pub(super) fn user(text: &str) -> Option<String> {
     let (document, _) = DeTable::parse_recoverable(text);
     let runtime = document.get_ref().get("runtime")?.get_ref().as_table()?;
     let user = runtime.get("user")?.get_ref();

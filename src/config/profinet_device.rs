@@ -66,11 +66,13 @@ fn records(entry: &Entry<'_>) -> Records {
     let records = entry.list().into_iter().filter_map(|element| {
         let text = element.text()?;
         let record = text.parse::<Record>();
+        let names = || Records::all().iter().map(Record::label).collect::<Vec<_>>();
+        #[cfg(test)]
+        element.asks(super::asked::Wanted::OneOf(names()));
         if record.is_err() {
-            let names: Vec<_> = Records::all().iter().map(Record::label).collect();
             element.fault(
                 format!("{} is no record", super::report::quoted(text)),
-                format!("choose among {}", names.join(", ")),
+                format!("choose among {}", names().join(", ")),
             );
         }
         record.ok()

@@ -23,9 +23,9 @@ const MOST_SHOWN: usize = 100;
 /// Something in the configuration that keeps the relay from starting.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Fault {
-    /// The configuration file.
+    /// The configuration file, or the environment variable in its place.
     pub file: PathBuf,
-    /// Line in it, from 1; none when the file could not be read at all.
+    /// Line in it, from 1; none when the file could not be read at all, and for a variable.
     pub line: Option<usize>,
     /// Path of the key, like `udp_range_net[1].password[0].file`; empty when the fault belongs to
     /// no key.
@@ -133,6 +133,8 @@ pub(super) struct Report<'a> {
     known: RefCell<BTreeMap<String, Vec<&'static str>>>,
     faults: RefCell<Noted>,
     warnings: RefCell<Noted>,
+    #[cfg(test)]
+    pub(super) asked: super::asked::Asked,
 }
 
 impl<'a> Report<'a> {
@@ -144,6 +146,8 @@ impl<'a> Report<'a> {
             known: RefCell::default(),
             faults: RefCell::default(),
             warnings: RefCell::default(),
+            #[cfg(test)]
+            asked: super::asked::Asked::default(),
         }
     }
 

@@ -9,6 +9,10 @@ use std::time::Duration;
 use crate::nat::Limits;
 use crate::pnet::wire::Header;
 
+#[cfg(test)]
+use super::asked::Wanted;
+#[cfg(test)]
+use super::model::Prefilter;
 use super::model::{Admin, Datapath, Log, Runtime};
 use super::toml_table::{Entry, LONGEST, Section};
 use super::{address, defaults, net, secret, token};
@@ -85,6 +89,8 @@ pub(super) fn datapath(mut section: Section<'_>) -> Datapath {
     let receive_buffer = section.key("receive_buffer", "1048576");
     let prefilter = section.key("prefilter", "\"auto\"");
     let busy_poll = section.key("busy_poll", "\"50us\"");
+    #[cfg(test)]
+    prefilter.asks(Wanted::OneOf(Prefilter::ALL.map(Prefilter::label).to_vec()));
     section.finish();
     let default = Datapath::default();
     let busy_poll = busy_poll.duration(Duration::ZERO..=MOST_BUSY_POLL);

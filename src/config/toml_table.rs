@@ -14,6 +14,8 @@ use toml::de::{DeInteger, DeTable, DeValue};
 
 use crate::pnet::wire::SECURE_PORT;
 
+#[cfg(test)]
+use super::asked::Wanted;
 use super::report::{MISSING, Report, SourceSpan, Unknown, quoted, shortened};
 
 /// The longest time in a setting: more than anybody needs, and safe to add to a clock.
@@ -46,7 +48,11 @@ impl<'a> Section<'a> {
         let found = self.table.and_then(|table| table.get_key_value(key));
         let line = found.map_or(self.place.line, |(key, _)| self.report.line(key.span().start));
         let place = SourceSpan { line, key: self.path_of(key) };
-        Entry { place, key, example, value: found.map(|(_, value)| value), report: self.report }
+        let value = found.map(|(_, value)| value);
+        let entry = Entry { place, key, example, value, report: self.report };
+        #[cfg(test)]
+        entry.asks(Wanted::Key);
+        entry
     }
 
     /// Refuses the keys that were not asked for.
@@ -117,8 +123,16 @@ impl<'a> Entry<'a> {
         self.report.warn(&self.place, problem.into(), remedy.into());
     }
 
+    /// Remembers what is asked for here: the schema is made of it.
+    #[cfg(test)]
+    pub(super) fn asks(&self, wanted: Wanted) {
+        self.report.asked.note(&self.place.key, wanted);
+    }
+
     /// Reports a fault when the key is left out.
     pub(super) fn required(self) -> Self {
+        #[cfg(test)]
+        self.asks(Wanted::Required);
         if self.is_absent() {
             self.fault(MISSING, format!("add `{} = {}`", self.key, self.example));
         }
@@ -126,10 +140,14 @@ impl<'a> Entry<'a> {
     }
 
     pub(super) fn boolean(&self) -> Option<bool> {
+        #[cfg(test)]
+        self.asks(Wanted::Boolean);
         self.expect("true or false", DeValue::as_bool)
     }
 
     pub(super) fn text(&self) -> Option<&'a str> {
+        #[cfg(test)]
+        self.asks(Wanted::Text);
         self.expect("a text in quotes", DeValue::as_str)
     }
 
@@ -143,6 +161,8 @@ impl<'a> Entry<'a> {
     where
         T: Copy + Display + PartialOrd + TryFrom<i64>,
     {
+        #[cfg(test)]
+        self.asks(Wanted::integer(&bounds));
         let integer = self.expect("a whole number", DeValue::as_integer)?;
         let number = i64_of(integer).and_then(|number| T::try_from(number).ok());
         let number = number.filter(|number| bounds.contains(number));
@@ -156,6 +176,8 @@ impl<'a> Entry<'a> {
 
     /// A time within bounds, written like "5m".
     pub(super) fn duration(&self, bounds: RangeInclusive<Duration>) -> Option<Duration> {
+        #[cfg(test)]
+        self.asks(Wanted::Duration);
         let duration = self.parse_with(humantime::parse_duration)?;
         if !bounds.contains(&duration) {
             let [found, shortest, longest] =
@@ -169,6 +191,8 @@ impl<'a> Entry<'a> {
 
     /// The values of a list, which must not be empty.
     pub(super) fn list(&self) -> Vec<Self> {
+        #[cfg(test)]
+        self.asks(Wanted::List);
         let Some(list) = self.expect("a list in brackets", DeValue::as_array) else {
             return Vec::new();
         };
@@ -190,6 +214,8 @@ impl<'a> Entry<'a> {
 
     /// The one table with this name; if it is left out, a table without keys.
     pub(super) fn section(self) -> Section<'a> {
+        #[cfg(test)]
+        self.asks(Wanted::Section);
         let header = format!("[{}]", self.key);
         let table = self.value.and_then(|value| match value.get_ref() {
             DeValue::Table(table) => Some(table),
@@ -210,6 +236,8 @@ impl<'a> Entry<'a> {
 
     /// The tables with this name, possibly none. Returns none at all when the value is no table.
     pub(super) fn sections(&self) -> Option<Vec<Section<'a>>> {
+        #[cfg(test)]
+        self.asks(Wanted::Sections);
         let Some(value) = self.value else { return Some(Vec::new()) };
         let header = format!("[[{}]]", without_indices(&self.place.key));
         let remedy = format!("write the header of each as {header}");

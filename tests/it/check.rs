@@ -6,6 +6,7 @@ use std::path::Path;
 use std::process::Command;
 
 use nix::unistd::geteuid;
+use serde_json::{Value, json};
 
 use crate::harness::{ANNOTATED, Process, folder, left_out, pnet_nat};
 
@@ -28,6 +29,52 @@ fn a_sound_configuration_shows_its_tables() {
     assert_eq!(checked.end(), Some(0));
     assert_eq!(checked.stderr(), "");
     insta::assert_snapshot!(checked.stdout());
+}
+
+#[test]
+fn for_scripts_it_is_one_object() {
+    let folder = folder(&annotated());
+    let json = ["--config", "pnet-nat.toml", "--format", "json"];
+    let mut checked = check(folder.path(), &json);
+    assert_eq!((checked.end(), checked.stderr().as_str()), (Some(0), ""));
+    let object: Value = serde_json::from_str(&checked.stdout()).unwrap();
+    assert_eq!((&object["sound"], &object["faults"]), (&json!(true), &json!([])));
+    let line = json!({
+        "net": "section-1", "node": 33, "public_address": null, "public_port": 20033,
+        "server": "127.17.17.33:34379",
+    });
+    assert_eq!(object["nat_table"][4], line);
+    let net = &object["nets"][0];
+    assert_eq!((&net["kind"], &net["passwords"]), (&json!("udp_range_net"), &json!(["service"])));
+    let row = json!({
+        "net": "press", "IPAddr": [], "UDPPort": 20193, "UsePW": 1, "Nettype": "UDPRange", "node": 7,
+    });
+    assert_eq!(object["clients"][1], row);
+
+    let faulty = annotated().replace("nodes = [\"1-4\", 33]", "nodes = [\"1-500\"]");
+    fs::write(folder.path().join("pnet-nat.toml"), &faulty).unwrap();
+    let mut checked = check(folder.path(), &json);
+    assert_eq!((checked.end(), checked.stderr().as_str()), (Some(2), ""));
+    let object: Value = serde_json::from_str(&checked.stdout()).unwrap();
+    let lines = faulty.lines().position(|line| line.starts_with("nodes = "));
+    let fault = &object["faults"][0];
+    assert_eq!(object["sound"], false);
+    assert_eq!(
+        (&fault["file"], &fault["line"]),
+        (&json!("pnet-nat.toml"), &json!(lines.unwrap() + 1))
+    );
+    assert_eq!(
+        (&fault["key"], &fault["passes"]),
+        (&json!("udp_range_net[0].nodes[0]"), &json!(false))
+    );
+    assert!(fault["remedy"].as_str().unwrap().contains("1 to 125"), "{fault}");
+    assert!(object.get("nat_table").is_none());
+
+    // What there is no file for is a fault, too.
+    let mut checked = check(folder.path(), &["--config", "absent.toml", "--format", "json"]);
+    assert_eq!((checked.end(), checked.stderr().as_str()), (Some(2), ""));
+    let object: Value = serde_json::from_str(&checked.stdout()).unwrap();
+    assert_eq!(object["faults"][0]["line"], Value::Null);
 }
 
 #[test]

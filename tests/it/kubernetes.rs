@@ -1,7 +1,8 @@
 //! The files of `deploy/kubernetes`: built by kustomize, held to the published schemas, and the
 //! container's command run as the manifest has it, in a folder such as a kubelet makes.
 //!
-//! Needs kubectl and kubernetes-validate; running as the container's user needs root and setpriv.
+//! Needs kubectl and kubernetes-validate; running as the container's user needs root and setpriv, the
+//! rules need promtool.
 
 use std::fs::{self, Permissions};
 use std::os::unix::fs::{PermissionsExt, chown, symlink};
@@ -26,7 +27,11 @@ const TOKEN: &str = "s3cr3t-0123456789";
 
 /// The manifests as text.
 fn build() -> Option<String> {
-    let Ok(output) = Command::new("kubectl").args(["kustomize", FOLDER]).output() else {
+    build_in(Path::new(FOLDER))
+}
+
+fn build_in(folder: &Path) -> Option<String> {
+    let Ok(output) = Command::new("kubectl").arg("kustomize").arg(folder).output() else {
         left_out("kubectl, such as of the package kubernetes-client");
         return None;
     };
@@ -74,6 +79,81 @@ fn the_manifests_are_as_the_schemas_want_them() {
     let pod = &deployment["spec"]["template"]["spec"];
     let port = pod["containers"][0]["ports"][0]["containerPort"].to_string();
     assert_eq!(annotations["prometheus.io/port"], port);
+}
+
+/// As README.md has it: with `components` in force. The operator's kinds are in no schema here, so what
+/// they have to fit is compared: the Service, the Secret, the container's port.
+#[test]
+fn what_the_operator_gets_fits_the_relays() {
+    let folder = tempfile::tempdir().unwrap();
+    let copied = Command::new("cp").args(["-r", FOLDER]).arg(folder.path()).status().unwrap();
+    assert!(copied.success());
+    let folder = folder.path().join("kubernetes");
+    let file = folder.join("kustomization.yaml");
+    let text = fs::read_to_string(&file).unwrap();
+    assert!(text.contains("\n#components: [monitoring]\n"), "without the operator it is left out");
+    fs::write(&file, text.replace("#components:", "components:")).unwrap();
+    let Some(manifests) = build_in(&folder) else { return };
+    let (ours, known): (Vec<_>, Vec<_>) = manifests
+        .split("\n---\n")
+        .partition(|document| document.contains("apiVersion: monitoring.coreos.com/v1\n"));
+    assert_eq!(ours.len(), 2);
+    for version in VERSIONS {
+        assert_eq!(complaint(&known.join("\n---\n"), version), None);
+    }
+
+    let [deployment, service, monitor] =
+        ["Deployment", "Service", "ServiceMonitor"].map(|kind| manifest(&manifests, kind));
+    let pod = &deployment["spec"]["template"]["spec"];
+    let container = &pod["containers"][0];
+    let (labels, port) = (&service["metadata"]["labels"], &service["spec"]["ports"][0]);
+    let selected = &deployment["spec"]["template"]["metadata"]["labels"];
+    assert_eq!(&service["spec"]["selector"], selected);
+    assert_eq!(port["targetPort"], container["ports"][0]["name"]);
+    assert_eq!(port["port"], container["ports"][0]["containerPort"]);
+    let (spec, endpoint) = (&monitor["spec"], &monitor["spec"]["endpoints"][0]);
+    assert_eq!(&spec["selector"]["matchLabels"], labels);
+    assert_eq!(labels[spec["jobLabel"].as_str().unwrap()], "pnet-nat", "the job of the rules");
+    assert_eq!(endpoint["port"], port["name"]);
+    let source = &pod["volumes"][0]["projected"]["sources"][1]["secret"];
+    let token = &endpoint["authorization"]["credentials"];
+    assert_eq!(token["name"], source["name"]);
+    let items = source["items"].as_array().unwrap();
+    assert!(items.iter().any(|item| item["key"] == token["key"]), "{token}");
+    for manifest in [&service, &monitor, &manifest(&manifests, "PrometheusRule")] {
+        assert_eq!(manifest["metadata"]["namespace"], deployment["metadata"]["namespace"]);
+    }
+}
+
+/// The rules are written once: the command in the file makes this one of the other.
+#[test]
+fn the_rules_of_the_operator_are_those_of_prometheus() {
+    let made = include_str!("../../deploy/kubernetes/monitoring/rules.yaml");
+    let folder = tempfile::tempdir().unwrap();
+    let monitoring = folder.path().join("kubernetes/monitoring");
+    fs::create_dir_all(&monitoring).unwrap();
+    fs::create_dir(folder.path().join("prometheus")).unwrap();
+    fs::write(monitoring.join("rules.yaml"), made).unwrap();
+    let rules = include_str!("../../deploy/prometheus/pnet-nat.rules.yml");
+    fs::write(folder.path().join("prometheus/pnet-nat.rules.yml"), rules).unwrap();
+    for command in made.lines().filter_map(|line| line.strip_prefix("#   ")) {
+        let mut shell = Command::new("sh");
+        let status = shell.args(["-c", command]).current_dir(&monitoring).status().unwrap();
+        assert!(status.success(), "{command}");
+    }
+    let anew = fs::read_to_string(monitoring.join("rules.yaml")).unwrap();
+    assert_eq!(anew, made, "the commands in deploy/kubernetes/monitoring/rules.yaml make it anew");
+
+    if !has_yaml() || Command::new("promtool").arg("--version").output().is_err() {
+        return left_out("promtool, of the package prometheus, and a parser of YAML");
+    }
+    let spec = &manifest(made, "PrometheusRule")["spec"];
+    assert_eq!(spec, &yaml(rules)[0], "as YAML, too");
+    // The operator hands Prometheus the `spec`, which is YAML, as all JSON is.
+    let file = folder.path().join("spec.yml");
+    fs::write(&file, spec.to_string()).unwrap();
+    let output = Command::new("promtool").args(["check", "rules"]).arg(&file).output().unwrap();
+    assert!(output.status.success(), "{output:?}");
 }
 
 /// As README.md has it, without a cluster.

@@ -3,6 +3,7 @@
 //! Needs root, systemd and cargo-deb.
 
 use std::fs;
+use std::os::unix::fs::symlink;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
@@ -15,7 +16,7 @@ const UNIT: &str = "deploy/systemd/pnet-nat.service";
 /// The most that `systemd-analyze security` may find exposed, of 10.
 const MOST_EXPOSED: f64 = 2.0;
 
-/// Packs the binary of the tests: nothing is compiled.
+/// Packs the binary of the tests as if it were that of the package's profile: nothing is compiled.
 fn package(folder: &tempfile::TempDir) -> Option<PathBuf> {
     let file = folder.path().join("pnet-nat.deb");
     if Command::new(env!("CARGO")).args(["deb", "--version"]).output().unwrap().status.success() {
@@ -29,8 +30,12 @@ fn package(folder: &tempfile::TempDir) -> Option<PathBuf> {
             fs::write(pages.join(file), completions.stdout).unwrap();
         }
 
+        let target = folder.path().join("target");
+        fs::create_dir_all(target.join(PROFILE)).unwrap();
+        symlink(pnet_nat(&[]).get_program(), target.join(PROFILE).join("pnet-nat")).unwrap();
         let mut command = Command::new(env!("CARGO"));
-        command.args(["deb", "--no-build", "--profile", "dev", "--fast", "--locked", "--offline"]);
+        command.args(["deb", "--no-build", "--fast", "--locked", "--offline"]);
+        command.env("CARGO_TARGET_DIR", target);
         let output = command.arg("--output").arg(&file).output().unwrap();
         assert!(output.status.success(), "{output:?}");
         Some(file)
@@ -38,6 +43,63 @@ fn package(folder: &tempfile::TempDir) -> Option<PathBuf> {
         left_out("cargo-deb");
         None
     }
+}
+
+/// As README.md has the program built.
+const PROFILE: &str = "dist";
+
+/// The program is stripped by cargo, each page is there that a page links to, and the examples of
+/// `sysctl.d` name settings that there are.
+#[test]
+fn the_package_has_what_its_pages_name() {
+    let cargo: toml::Table = toml::from_str(include_str!("../../Cargo.toml")).unwrap();
+    assert_eq!(cargo["profile"][PROFILE]["strip"].as_bool(), Some(true));
+    let readme = include_str!("../../README.md");
+    assert!(readme.contains(&format!("cargo build --profile {PROFILE}\n")));
+
+    let folder = tempfile::tempdir().unwrap();
+    let Some(package) = package(&folder) else { return };
+    let root = folder.path().join("root");
+    let mut command = Command::new("dpkg-deb");
+    let status = command.arg("--extract").arg(&package).arg(&root).status().unwrap();
+    assert!(status.success());
+    let documentation = root.join("usr/share/doc/pnet-nat");
+    let pages = markdown(&documentation);
+    assert!(pages.len() > 20, "{pages:?}");
+    for page in pages {
+        let text = fs::read_to_string(&page).unwrap();
+        for link in text.split("](").skip(1).filter_map(|rest| rest.split([')', '#']).next()) {
+            let target = page.parent().unwrap().join(link);
+            assert!(link.contains("://") || target.exists(), "{}: {link}", page.display());
+        }
+    }
+    for example in [
+        "prometheus/pnet-nat.rules.yml",
+        "grafana/dashboards/pnet-nat.json",
+        "fail2ban/jail.d/pnet-nat.conf",
+        "keepalived/keepalived.conf",
+    ] {
+        assert!(documentation.join("examples").join(example).is_file(), "{example}");
+    }
+    let settings = documentation.join("examples/sysctl.d/60-pnet-nat.conf");
+    let settings = fs::read_to_string(settings).unwrap();
+    let lines = settings.lines().map(|line| line.trim_start_matches('#'));
+    let keys: Vec<_> =
+        lines.filter_map(|line| line.split_once(" = ")).map(|(key, _)| key).collect();
+    assert_eq!(keys.len(), 4, "{keys:?}");
+    for key in keys {
+        assert!(Path::new("/proc/sys").join(key.replace('.', "/")).exists(), "{key}");
+    }
+}
+
+/// The pages below a folder.
+fn markdown(folder: &Path) -> Vec<PathBuf> {
+    let entries = fs::read_dir(folder).unwrap().map(|entry| entry.unwrap());
+    let pages = entries.flat_map(|entry| match entry.file_type().unwrap() {
+        kind if kind.is_dir() => markdown(&entry.path()),
+        _ => vec![entry.path()],
+    });
+    pages.filter(|path| path.extension().is_some_and(|extension| extension == "md")).collect()
 }
 
 #[test]
@@ -151,6 +213,7 @@ fn installed_and_not_started(service: &Service) {
         "/usr/share/zsh/vendor-completions/_pnet-nat",
         "/usr/share/fish/vendor_completions.d/pnet-nat.fish",
         "/etc/fail2ban/filter.d/pnet-nat.conf",
+        "/etc/pnet-nat/pnet-nat.schema.json",
     ] {
         assert!(listed.lines().any(|line| line == file), "{listed}");
     }
@@ -353,7 +416,7 @@ fn removed(service: &Service) {
     machine.run(&["ls", "/etc/pnet-nat/pnet-nat.toml", "/etc/pnet-nat/secrets/section-1"]);
     machine.run(&["dpkg", "--purge", "pnet-nat"]);
     let left = machine.shell(
-        "cd / && find etc usr/bin usr/lib/systemd usr/share/doc var/lib/systemd var/lib/dpkg/info \
+        "cd / && find etc usr/bin usr/lib/systemd usr/share var/lib/systemd var/lib/dpkg/info \
          -path '*pnet-nat*'",
     );
     let left: Vec<_> = left.lines().filter(|file| !file.contains("pnet-nat.service.d")).collect();

@@ -1,10 +1,13 @@
 //! `pnet-nat check`: every fault of a configuration, or the NAT table that it results in.
 //!
-//! Opens none of the relay's ports. Faults and warnings go to stderr, tables to stdout.
+//! Opens none of the relay's ports. Faults and warnings go to stderr, tables to stdout; in JSON, all of it
+//! is one object on stdout.
 
 mod client;
+mod json;
 mod sheet;
 
+use std::fmt::Display;
 use std::io::Write;
 use std::net::{IpAddr, SocketAddr};
 use std::path::{Path, PathBuf};
@@ -14,9 +17,10 @@ use clap::builder::BoolishValueParser;
 use comfy_table::Table;
 use ipnet::{IpNet, Ipv4Net};
 
-use super::output::{out, plain_table};
-use super::{BAD_USE, CONFIG, complain, load, told};
-use crate::config::{self, Config, Warning};
+use super::output::{Format, out, plain_table, print_json};
+use super::{BAD_USE, WITHOUT_FILE, complain, exit_code_of};
+use crate::config::{Config, Faults, Source, TwoSources, Warning};
+use crate::logging::complain_of_faults;
 use crate::nat::{Mapping, Net, NetKind};
 use crate::sandbox::{self, User, UserError};
 
@@ -24,11 +28,14 @@ pub(super) use sheet::{SheetFormat, sheet};
 
 /// Check a configuration: show every fault, or the NAT table and the clients' IPNetTable rows.
 #[derive(Debug, clap::Args)]
-#[command(after_help = "Example:  pnet-nat check --config /etc/pnet-nat/pnet-nat.toml")]
+#[command(after_help = format!(
+    "Example:  pnet-nat check --config /etc/pnet-nat/pnet-nat.toml\n{WITHOUT_FILE}"
+))]
 pub(super) struct Args {
-    /// The configuration file; config/pnet-nat.toml explains every key.
-    #[arg(short, long, value_name = "FILE", env = "PNET_NAT_CONFIG", default_value = CONFIG)]
-    config: PathBuf,
+    /// The configuration file; config/pnet-nat.toml explains every key [default:
+    /// /etc/pnet-nat/pnet-nat.toml].
+    #[arg(short, long, value_name = "FILE", env = "PNET_NAT_CONFIG")]
+    config: Option<PathBuf>,
     /// Show one line for each node, instead of one for each run of consecutive nodes.
     #[arg(long, env = "PNET_NAT_FULL", value_parser = BoolishValueParser::new())]
     full: bool,
@@ -41,15 +48,27 @@ pub(super) struct Args {
         num_args = 0..=1,
         default_missing_value = "md",
         env = "PNET_NAT_CLIENT_SHEET",
-        hide_possible_values = true
+        hide_possible_values = true,
+        conflicts_with = "format"
     )]
     client_sheet: Option<SheetFormat>,
+    /// Output: tables for people, or one JSON object with faults, warnings, NAT table, nets and clients' rows.
+    #[arg(long, value_enum, default_value_t = Format::Text, env = "PNET_NAT_FORMAT")]
+    format: Format,
 }
 
 /// Prints all faults and returns exit code 2, or prints the warnings, the NAT table and the
 /// clients' IPNetTable rows.
 pub(super) fn run(args: Args) -> anyhow::Result<ExitCode> {
-    let config = match judged(&args.config) {
+    let mut remarks = Vec::new();
+    let source = Source::choose(args.config.as_deref()).map_err(Refusal::from);
+    let checked = source.and_then(|source| check(&source, &mut remarks));
+    if args.format == Format::Json {
+        let code = checked.as_ref().map_or_else(Refusal::code, |_| ExitCode::SUCCESS);
+        print_json(&json::object(&checked, &remarks), &mut out())?;
+        return Ok(code);
+    }
+    let config = match told(checked, &remarks) {
         Ok(config) => config,
         Err(code) => return Ok(code),
     };
@@ -67,38 +86,82 @@ pub(super) fn run(args: Args) -> anyhow::Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// A configuration without faults, of which warnings were printed; otherwise the faults were.
+/// The configuration of a file, of which warnings were printed; otherwise the faults were.
 pub(super) fn judged(path: &Path) -> Result<Config, ExitCode> {
-    let (config, warnings) = read(path)?;
-    for warning in warnings {
-        complain(format_args!("warning: {warning}"));
+    let mut remarks = Vec::new();
+    let checked = check(&Source::File(path.to_owned()), &mut remarks);
+    told(checked, &remarks)
+}
+
+/// Prints the warnings, or why there is no configuration.
+fn told(
+    checked: Result<(Config, Vec<Warning>), Refusal>,
+    remarks: &[String],
+) -> Result<Config, ExitCode> {
+    match checked {
+        Err(refusal) => {
+            remarks.iter().for_each(warn);
+            refusal.complain();
+            Err(refusal.code())
+        }
+        Ok((config, warnings)) => {
+            warnings.iter().for_each(warn);
+            remarks.iter().for_each(warn);
+            Ok(config)
+        }
     }
-    for link in sandbox::movable_links(&config.files) {
-        complain(format_args!("warning: {link}"));
+}
+
+fn warn(text: impl Display) {
+    complain(format_args!("warning: {text}"));
+}
+
+/// Why there is no configuration.
+#[derive(Debug, thiserror::Error)]
+enum Refusal {
+    #[error(transparent)]
+    Faults(#[from] Faults),
+    #[error(transparent)]
+    User(#[from] UserError),
+    #[error(transparent)]
+    TwoSources(#[from] TwoSources),
+}
+
+impl Refusal {
+    fn code(&self) -> ExitCode {
+        match self {
+            Self::Faults(faults) => exit_code_of(faults),
+            Self::User(_) | Self::TwoSources(_) => ExitCode::from(BAD_USE),
+        }
     }
-    Ok(config)
+
+    fn complain(&self) {
+        match self {
+            Self::Faults(faults) => complain_of_faults(faults),
+            Self::User(_) | Self::TwoSources(_) => complain(format_args!("pnet-nat: {self}")),
+        }
+    }
 }
 
 /// Reads it as the relay would: with the rights of `[runtime] user`, and without root's right to read any
-/// file.
-fn read(path: &Path) -> Result<(Config, Vec<Warning>), ExitCode> {
+/// file. What is to be said of this host beside the warnings goes to `remarks`.
+fn check(source: &Source, remarks: &mut Vec<String>) -> Result<(Config, Vec<Warning>), Refusal> {
     let _prepared = sandbox::prepare();
-    let text = told(config::read_text(path))?;
-    let Some(name) = config::user(&text) else { return load(path) };
-    let bad_use = |error: UserError| {
-        complain(format_args!("pnet-nat: {error}"));
-        ExitCode::from(BAD_USE)
+    let read = match source.user()? {
+        None => source.load(),
+        Some(name) => match User::find(&name)?.act(|| source.load()) {
+            Err(UserError::NotRoot(user)) => {
+                remarks.push(format!(
+                    "whether {user:?} may read the files is not checked; only root can: run check as root"
+                ));
+                source.load()
+            }
+            read => read?,
+        },
     };
-    match User::find(&name).map_err(bad_use)?.act(|| load(path)) {
-        Ok(read) => read,
-        Err(UserError::NotRoot(user)) => {
-            complain(format_args!(
-                "warning: whether {user:?} may read the files is not checked; only root can: run check as root"
-            ));
-            load(path)
-        }
-        Err(error) => Err(bad_use(error)),
-    }
+    let (config, warnings) = read?;
+    remarks.extend(sandbox::movable_links(&config.files).iter().map(ToString::to_string));
+    Ok((config, warnings))
 }
 
 fn summary(config: &Config, full: bool) -> String {

@@ -28,8 +28,8 @@ use tokio::time::{Instant, sleep};
 use super::admin_server::{self, AdminServer};
 use super::output::{Format, Paint, out};
 use super::progress::{ProgressLine, bar};
-use super::{BAD_USE, CONFIG, complain, told};
-use crate::config::{self, Config};
+use super::{BAD_USE, complain, told};
+use crate::config::{self, Config, USUAL_FILE};
 use crate::harmless::harmless_json;
 use crate::nat::{Mapping, NetId};
 use crate::peer::until;
@@ -89,7 +89,7 @@ pub(super) struct Args {
 impl Args {
     /// The relay's configuration file.
     fn file(&self) -> &Path {
-        self.relay.config.as_deref().unwrap_or(Path::new(CONFIG))
+        self.relay.config.as_deref().unwrap_or(Path::new(USUAL_FILE))
     }
 }
 

@@ -9,6 +9,7 @@ mod ip_net_table;
 mod profinet_device;
 mod reference;
 mod remote_net;
+mod schema;
 mod size;
 mod syntax;
 
@@ -49,6 +50,11 @@ allow = ["198.51.100.7"]
 name = "service"
 file = "secrets/a"
 "#;
+
+/// Reads a file, and what it names.
+fn load(path: &Path) -> Result<(Config, Vec<Warning>), Faults> {
+    Source::File(path.to_owned()).load()
+}
 
 /// A folder with the password files that the cases name.
 fn folder() -> TempDir {

@@ -3,7 +3,7 @@
 
 use super::*;
 
-const REFERENCE: &str = include_str!("../../../config/pnet-nat.toml");
+pub(super) const REFERENCE: &str = include_str!("../../../config/pnet-nat.toml");
 
 fn read(text: &str) -> Result<(Config, Vec<Warning>), Faults> {
     let folder = tempfile::tempdir().unwrap();
@@ -20,7 +20,7 @@ fn read(text: &str) -> Result<(Config, Vec<Warning>), Faults> {
 }
 
 /// The reference with its switched-off keys switched on.
-fn switched_on() -> String {
+pub(super) fn switched_on() -> String {
     let line = |line: &str| match line.trim_start().strip_prefix('#') {
         Some(key) if key.starts_with(|c: char| c.is_ascii_lowercase() || c == '[') => {
             key.to_owned() + "\n"

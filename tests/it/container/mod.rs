@@ -104,6 +104,38 @@ fn it_relays_on_the_hosts_network() {
     relay.finish();
 }
 
+/// Nothing is mounted but its secret.
+#[test]
+fn it_relays_without_a_configuration_file() {
+    let Some(image) = Image::prebuilt() else { return };
+    let (site, container) = (Site::claim(), Container::name());
+    let relay = Relay::start_as("", site.admin(), |arguments| {
+        let secrets = Path::new(arguments[2]).parent().unwrap().join("secrets");
+        for entry in ["", "section-1"] {
+            chown(secrets.join(entry), Some(USER), Some(USER)).unwrap();
+        }
+        let mut run = Command::new("docker");
+        run.args(["run", "--name", &container.0, "--network", "host"]).args(CONFINED);
+        run.arg("--volume").arg(format!("{}:/run/secrets:ro", secrets.display()));
+        let subnet = site.address(0);
+        for variable in [
+            format!("PNET_NAT_LISTEN={}", site.public_address()),
+            format!("PNET_NAT_START_PORT={}", site.start_port()),
+            format!("PNET_NAT_SUBNET={subnet}"),
+            "PNET_NAT_NODES=1-4,33".to_owned(),
+            format!("PNET_NAT_ALLOW={subnet}/24"),
+            format!("PNET_NAT_ADMIN_LISTEN={}", site.admin()),
+        ] {
+            run.args(["--env", &variable]);
+        }
+        run.arg(&image.0);
+        run
+    });
+    is_confined(&relay.process);
+    exchange(&site.client(), site.public(4), &site.node(4), 4);
+    relay.finish();
+}
+
 /// All that the kernel and the engine let it give up is given up, and it is nobody special.
 fn is_confined(relay: &Process) {
     // The engine hands the log on a little late.

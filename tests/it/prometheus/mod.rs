@@ -198,6 +198,7 @@ fn every_query_of_the_dashboard_has_an_answer(prometheus: &Prometheus) {
 /// A query as Grafana asks it when everything is chosen.
 fn filled_in(query: &Value) -> String {
     let query = query.as_str().expect("a query").replace("$__rate_interval", "5m");
+    let query = query.replace("$__range", "5m");
     let query = ["$instance", "$node", "$net"].iter().fold(query, |q, name| q.replace(name, ".*"));
     assert!(!query.contains('$'), "{query}");
     query

@@ -39,7 +39,7 @@ pub use relay::{ANNOTATED, Place, Relay, Settings, folder};
 pub use site::{Peer, Site, close, exchange};
 pub use somebody::Somebody;
 pub use terminal::Terminal;
-pub use yaml::{TOOLS, has_yaml, yaml};
+pub use yaml::{TOOLS, feed, has_yaml, yaml};
 
 /// How long a step may take that should take no time. A busy machine is not a fault.
 pub const PATIENCE: Duration = Duration::from_secs(20);
