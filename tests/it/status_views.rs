@@ -50,9 +50,9 @@ fn everything() -> Value {
     json!({
         "/api/v1/status": { "probe": true },
         "/api/v1/refused": { "not_listed": 4, "refused": [
-            { "source": "198.51.100.9", "net": "section-1", "node": 3, "reason": "source_not_allowed",
+            { "source": "198.51.100.9", "direction": "request", "net": "section-1", "node": 3, "reason": "source_not_allowed",
                 "count": 138, "first_age_seconds": 840.0, "last_age_seconds": 3.1 },
-            { "source": "2001:db8::7", "net": "section-1", "node": 3, "reason": "password_wrong",
+            { "source": "2001:db8::7", "direction": "request", "net": "section-1", "node": 3, "reason": "password_wrong",
                 "count": 5, "first_age_seconds": 9000.0, "last_age_seconds": 7300.0 },
         ] },
         "/api/v1/flows": {
@@ -94,7 +94,8 @@ fn look_at(browser: &Browser, view: &str) {
 fn who_is_refused_connected_and_what_happened_is_told() {
     let Some(browser) = Browser::start() else { return };
     let site = Site::claim();
-    let _relay = relay(&site);
+    let with_probe = configuration(&site).replace("[admin]", "[admin]\nprobe = true");
+    let _relay = Relay::start(&with_probe, site.admin(), None);
     browser.pretend(&everything());
     browser.look(1280, 3000, false, "light");
     browser.open(&format!("http://{}/", site.admin()));

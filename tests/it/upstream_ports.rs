@@ -22,7 +22,7 @@ fn lend(range: &str, reserved: &str) {
 const SERVERS: &str = r#"
 [[server]]
 name = "press"
-public_port = 40150
+public_port = 20150
 address = "[2001:db8:1::7]:34379"
 node = 7
 allow = ["0.0.0.0/0"]
@@ -47,23 +47,23 @@ fn ports(network: &Network, clients: usize, node: &Peer) -> BTreeSet<u16> {
 fn upstream_ports_are_of_those_that_the_host_lends_and_outside_all_blocks() {
     let Some(network) = Network::build() else { return };
     network.at_the_edge(|| {
-        lend("40000 40199", "40130-40139,40141");
+        lend("20000 20199", "20130-20139,20141");
         let settings = Settings { sections: SERVERS, ..Settings::default() };
         let relay = start(&network, settings.clone());
         let node = network.node(4);
         let ports = ports(&network, 40, &node);
         assert_eq!(ports.len(), 40);
         let may_have = |port: &u16| {
-            (40128..=40199).contains(port)
-                && ![40141, 40150].contains(port)
-                && !(40130..=40139).contains(port)
+            (20128..=20199).contains(port)
+                && ![20141, 20150].contains(port)
+                && !(20130..=20139).contains(port)
         };
         assert!(ports.iter().all(may_have), "{ports:?}");
 
         let press = network.internet.peer("[2001:db8:1::7]:34379".parse().unwrap());
         for _ in 0..10 {
             let client = network.client("198.51.100.8");
-            let port = exchange(&client, (Ipv4Addr::new(198, 51, 100, 1), 40150).into(), &press, 7);
+            let port = exchange(&client, (Ipv4Addr::new(198, 51, 100, 1), 20150).into(), &press, 7);
             assert!(may_have(&port), "{port}");
         }
 
@@ -84,11 +84,11 @@ fn upstream_ports_are_of_those_that_the_host_lends_and_outside_all_blocks() {
 fn where_the_host_lends_nothing_else_other_ports_are_taken() {
     let Some(network) = Network::build() else { return };
     network.at_the_edge(|| {
-        lend("40000 40127", "");
+        lend("20000 20127", "");
         let relay = start(&network, Settings::default());
         lend("32768 60999", ""); // for what asks the admin server
         let ports = ports(&network, 20, &network.node(4));
-        let may_have = |port: &u16| *port > 1023 && !(40000..=40127).contains(port);
+        let may_have = |port: &u16| *port > 1023 && !(20000..=20127).contains(port);
         assert!(ports.iter().all(may_have), "{ports:?}");
         relay.expect_drops(&[]);
         let log = relay.finish();
@@ -102,16 +102,16 @@ fn where_the_host_lends_nothing_else_other_ports_are_taken() {
 fn what_other_programs_have_is_passed_over() {
     let Some(network) = Network::build() else { return };
     network.at_the_edge(|| {
-        lend("40100 40131", "");
+        lend("20100 20131", "");
         let relay = start(&network, Settings::default());
         lend("32768 60999", "");
-        let _others = ["127.0.0.1:40128", "0.0.0.0:40129", "172.17.17.254:40131"]
+        let _others = ["127.0.0.1:20128", "0.0.0.0:20129", "172.17.17.254:20131"]
             .map(|address| UdpSocket::bind(address).unwrap());
         let (first, second) = (network.client("198.51.100.7"), network.client("198.51.100.8"));
         let (public, node) = (network.public("198.51.100.1", 4), network.node(4));
-        assert_eq!(exchange(&first, public, &node, 4), 40130);
+        assert_eq!(exchange(&first, public, &node, 4), 20130);
         second.send(public, &request(4));
-        assert_eq!(exchange(&first, public, &node, 4), 40130);
+        assert_eq!(exchange(&first, public, &node, 4), 20130);
         relay.expect_drops(&[("request", "upstream_exhausted", 1)]);
         let log = relay.finish();
         assert_eq!(log.logged("cannot open an upstream socket").len(), 1, "{}", log.stderr());

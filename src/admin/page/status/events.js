@@ -11,9 +11,9 @@ let events = []; // newest first
 let allEvents = false;
 
 async function showEvents() {
-  const answer = await ask(`api/v1/events?after=${events[0]?.number ?? 0}`);
+  const { events: answered } = await ask(`api/v1/events?after=${events[0]?.number ?? 0}`);
   const newest = events[0]?.number ?? 0; // another question may have been answered first
-  const news = answer?.events.filter(({ number }) => number > newest) ?? [];
+  const news = answered.filter(({ number }) => number > newest);
   events = [...news, ...events].slice(0, MOST_EVENTS);
   const rows = allEvents ? events : events.slice(0, FEW_EVENTS);
   const shape = () => make("tr", {}, make("th", { scope: "row" }, make("time")),

@@ -121,10 +121,8 @@ async function showPlots(time, anew = false) {
   const every = range === "minutes" ? Infinity : { hour: 10, day: 60 }[history];
   if (time - filled >= every || filled === -Infinity) {
     const answer = await ask("api/v1/history");
-    if (answer) {
-      epoch = answer.now - time;
-      for (const tile of Object.values(TILES)) tile.fill(time, answer);
-    }
+    epoch = answer.now - time;
+    for (const tile of Object.values(TILES)) tile.fill(time, answer);
     filled = time;
   }
   for (const tile of Object.values(TILES)) tile.draw(time, anew);

@@ -22,15 +22,19 @@ function offence({ net, node, reason }) {
 /** Asks again when something was dropped since. */
 async function readRefused(time, key) {
   if (key === refusedKey) return;
-  refused = await ask("api/v1/refused") ?? refused;
+  refused = await ask("api/v1/refused");
   [refusedAt, refusedKey] = [time, key];
 }
 
-/** How often requests were refused lately, by reason, and how long ago the last was. */
+/** Scanners of the Internet cause these all day; they are listed, and make nothing amber. */
+const NOISE = new Set(["too_short", "too_long", "bad_header", "bad_route", "bad_length", "bad_ndr"]);
+
+/** How often well-formed requests were refused lately, by reason, and how long ago the last was. */
 function refusedLately(time) {
   const reasons = {};
   let newest = Infinity;
-  for (const { reason, count, last_age_seconds } of refused.refused) {
+  for (const { direction, reason, count, last_age_seconds } of refused.refused) {
+    if (direction !== "request" || NOISE.has(reason)) continue;
     const seconds = last_age_seconds + time - refusedAt;
     if (seconds > LATELY_SECONDS) continue;
     newest = Math.min(newest, seconds);
