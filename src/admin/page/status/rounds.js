@@ -25,11 +25,12 @@ async function poll() {
   showBanner(status, states, null, time);
   showRefused(time);
   showTiles(time, status, states, dropped);
-  await showPlots(time);
   showNets(time, states, status);
-  if (filterWords.length) await applyFilter();
   showDrops(time, { ...dropped, ...kernel });
   showRelay(status);
+  // Only then what asks for more.
+  if (filterWords.length) await applyFilter();
+  await showPlots(time);
   for (const net of nets.values()) {
     if (net.details.open && net.inSight) await net.look();
   }
