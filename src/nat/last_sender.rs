@@ -1,40 +1,20 @@
 //! The sender of the last datagram of a kind: one writer, any number of readers, no lock.
-//!
-//! A sequence lock: the writer counts a version up before and after each change, so that a reader
-//! notices when it read while a change was under way.
 
-use std::net::{IpAddr, Ipv6Addr};
-use std::sync::atomic::Ordering::{Acquire, Relaxed, Release};
-use std::sync::atomic::{AtomicU64, fence};
+use std::net::IpAddr;
 
 use super::counter::Writer;
+use super::sequence_lock::{SequenceLock, address_of, words_of};
 use super::time::Nanos;
 
-/// The address of a sender, and the time when it sent.
+/// The time when a sender sent, 0 if nobody has sent yet; and its address.
 #[derive(Debug, Default)]
-pub struct LastSender {
-    /// Odd while the other fields are being changed.
-    version: AtomicU64,
-    /// 0: nobody has sent yet.
-    at: AtomicU64,
-    /// An IPv6 address, or an IPv4 address mapped into IPv6: its upper and lower half.
-    address: [AtomicU64; 2],
-}
+pub struct LastSender(SequenceLock<3>);
 
 impl LastSender {
     /// Notes a sender.
-    pub fn note(&self, _: &Writer, at: Nanos, sender: IpAddr) {
-        let octets = match sender {
-            IpAddr::V4(sender) => sender.to_ipv6_mapped().to_bits(),
-            IpAddr::V6(sender) => sender.to_bits(),
-        };
-        let version = self.version.load(Relaxed);
-        self.version.store(version.wrapping_add(1), Relaxed);
-        fence(Release);
-        self.at.store(at, Relaxed);
-        self.address[0].store((octets >> 64) as u64, Relaxed);
-        self.address[1].store(octets as u64, Relaxed);
-        self.version.store(version.wrapping_add(2), Release);
+    pub fn note(&self, writer: &Writer, at: Nanos, sender: IpAddr) {
+        let [upper, lower] = words_of(sender);
+        self.0.set(writer, [at, upper, lower]);
     }
 
     /// The latest of these senders; none when nobody has sent yet, or when one of them is being
@@ -47,18 +27,15 @@ impl LastSender {
 
     /// Time and address; none while they are being changed.
     fn get(&self) -> Option<(Nanos, IpAddr)> {
-        let version = self.version.load(Acquire);
-        let at = self.at.load(Relaxed);
-        let [upper, lower] = [0, 1].map(|half| u128::from(self.address[half].load(Relaxed)));
-        fence(Acquire);
-        let is_whole = version.is_multiple_of(2) && self.version.load(Relaxed) == version;
-        let address = Ipv6Addr::from_bits(upper << 64 | lower).to_canonical();
-        is_whole.then_some((at, address))
+        let [at, upper, lower] = self.0.get()?;
+        Some((at, address_of([upper, lower])))
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use std::net::Ipv6Addr;
+    use std::sync::atomic::Ordering::Relaxed;
     use std::thread;
 
     use super::*;
@@ -85,7 +62,7 @@ mod tests {
     fn one_that_is_being_changed_is_left_out() {
         let sender = LastSender::default();
         sender.note(&Writer::of_worker(), 5, address("198.51.100.9"));
-        sender.version.store(3, Relaxed);
+        sender.0.version.store(3, Relaxed);
         assert_eq!(LastSender::latest(std::iter::once(&sender)), None);
     }
 

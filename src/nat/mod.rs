@@ -25,6 +25,7 @@ mod reason;
 mod refusals;
 mod response_times;
 mod rules;
+mod sequence_lock;
 mod source_sketch;
 mod table;
 #[cfg(test)]

@@ -67,8 +67,7 @@ pub struct Core {
     /// What is left to do of the last reload.
     pub(super) going_over: Option<GoingOver>,
     pub(super) upstreams: Upstreams,
-    /// Flows that wait for last answers on sockets that are about to be closed. Some of them may be
-    /// closed already.
+    /// Flows that wait for last answers on sockets that are about to be closed.
     pub(super) leaving: BTreeSet<FlowId>,
     pub(super) throttle: Throttle,
     /// Chooses where a sender stands in the list of who was refused.

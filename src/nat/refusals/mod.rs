@@ -15,23 +15,24 @@
 //! comes in a flood gets in after some datagrams. Each refused datagram counts for an entry or as
 //! `not_listed`, once.
 //!
-//! As with [`LastSender`](super::LastSender), there is no lock: whoever reads an entry while it is
-//! given to another sender leaves it out.
+//! There is no lock: whoever reads an entry while it is given to another sender leaves it out.
 
 mod seen_before;
 #[cfg(test)]
 mod tests;
 
+use std::array;
 use std::hash::BuildHasher;
-use std::net::{IpAddr, Ipv6Addr};
-use std::sync::atomic::Ordering::{Acquire, Relaxed, Release};
-use std::sync::atomic::{AtomicU32, AtomicU64, fence};
+use std::net::IpAddr;
+use std::sync::atomic::AtomicU32;
+use std::sync::atomic::Ordering::Relaxed;
 
 use foldhash::fast::FixedState;
 use strum::VariantArray;
 
 use super::counter::{Counter, Writer};
 use super::reason::{Direction, DropReason};
+use super::sequence_lock::{SequenceLock, address_of, words_of};
 use super::time::Nanos;
 use seen_before::SeenBefore;
 
@@ -100,17 +101,10 @@ struct Set {
     entries: [Entry; WAYS],
 }
 
+/// The [`Refused`] in four words, then count, first and last.
 #[derive(Debug, Default)]
 #[repr(align(64))]
-struct Entry {
-    /// Odd while the entry is being given to another sender.
-    version: AtomicU64,
-    /// The [`Refused`].
-    words: [AtomicU64; 4],
-    count: AtomicU64,
-    first: AtomicU64,
-    last: AtomicU64,
-}
+struct Entry(SequenceLock<7>);
 
 impl Default for Refusals {
     fn default() -> Self {
@@ -144,9 +138,9 @@ impl Refusals {
         match set.place(now, || seen_before.note(now, hash)) {
             Some(way) => {
                 // 0 of a free entry.
-                self.not_listed.add(writer, set.entries[way].count.load(Relaxed));
+                self.not_listed.add(writer, set.entries[way].count());
                 set.tags[way].store(tag, Relaxed);
-                set.entries[way].give_to(&words, now);
+                set.entries[way].give_to(writer, words, now);
             }
             None => self.not_listed.add(writer, 1),
         }
@@ -170,7 +164,7 @@ impl Set {
         let tick = tick(now);
         if tick.wrapping_sub(self.searched.load(Relaxed)) >= SEARCH {
             self.searched.store(tick, Relaxed);
-            let oldest = (0..WAYS).min_by_key(|&way| self.entries[way].last.load(Relaxed));
+            let oldest = (0..WAYS).min_by_key(|&way| self.entries[way].last());
             if oldest.is_some_and(|way| self.entries[way].is_over(now)) {
                 return oldest;
             }
@@ -186,55 +180,54 @@ impl Set {
     fn weakest(&self, now: Nanos) -> Option<usize> {
         let mut firsts = [0; WAYS];
         for (first, entry) in firsts.iter_mut().zip(&self.entries) {
-            *first = entry.first.load(Relaxed);
+            *first = entry.first();
         }
         firsts.sort_unstable();
         let median = firsts[WAYS / 2];
         (0..WAYS).min_by_key(|&way| {
             let entry = &self.entries[way];
-            let count = entry.count.load(Relaxed);
-            let goes_on = count > 1 && entry.first.load(Relaxed) < median;
-            (!entry.is_over(now), goes_on, count, entry.last.load(Relaxed))
+            let count = entry.count();
+            let goes_on = count > 1 && entry.first() < median;
+            (!entry.is_over(now), goes_on, count, entry.last())
         })
     }
 }
 
 impl Entry {
     fn words(&self) -> [u64; 4] {
-        self.words.each_ref().map(|word| word.load(Relaxed))
+        array::from_fn(|index| self.0.words[index].load(Relaxed))
+    }
+
+    fn count(&self) -> u64 {
+        self.0.words[4].load(Relaxed)
+    }
+
+    fn first(&self) -> Nanos {
+        self.0.words[5].load(Relaxed)
+    }
+
+    fn last(&self) -> Nanos {
+        self.0.words[6].load(Relaxed)
     }
 
     fn is_over(&self, now: Nanos) -> bool {
-        now.saturating_sub(self.last.load(Relaxed)) >= OVER
+        now.saturating_sub(self.last()) >= OVER
     }
 
     #[inline]
     fn again(&self, now: Nanos) {
-        self.count.store(self.count.load(Relaxed) + 1, Relaxed);
-        self.last.store(now, Relaxed);
+        self.0.words[4].store(self.count() + 1, Relaxed);
+        self.0.words[6].store(now, Relaxed);
     }
 
-    fn give_to(&self, words: &[u64; 4], now: Nanos) {
-        let version = self.version.load(Relaxed);
-        self.version.store(version.wrapping_add(1), Relaxed);
-        fence(Release);
-        for (word, value) in self.words.iter().zip(words) {
-            word.store(*value, Relaxed);
-        }
-        self.count.store(1, Relaxed);
-        self.first.store(now, Relaxed);
-        self.last.store(now, Relaxed);
-        self.version.store(version.wrapping_add(2), Release);
+    fn give_to(&self, writer: &Writer, [upper, lower, net, place]: [u64; 4], now: Nanos) {
+        self.0.set(writer, [upper, lower, net, place, 1, now, now]);
     }
 
     /// What it says; none while it is free or being given to another sender.
     fn get(&self) -> Option<Refusal> {
-        let version = self.version.load(Acquire);
-        let (words, count) = (self.words(), self.count.load(Relaxed));
-        let (first, last) = (self.first.load(Relaxed), self.last.load(Relaxed));
-        fence(Acquire);
-        let is_whole = version.is_multiple_of(2) && self.version.load(Relaxed) == version;
-        let refused = Refused::from_words(words).filter(|_| is_whole && count > 0)?;
+        let [upper, lower, net, place, count, first, last] = self.0.get()?;
+        let refused = Refused::from_words([upper, lower, net, place]).filter(|_| count > 0)?;
         Some(Refusal { refused, count, first, last })
     }
 }
@@ -242,18 +235,14 @@ impl Entry {
 impl Refused {
     fn to_words(self) -> [u64; 4] {
         let Self { sender, net, node, direction, reason } = self;
-        let octets = match sender {
-            IpAddr::V4(sender) => sender.to_ipv6_mapped().to_bits(),
-            IpAddr::V6(sender) => sender.to_bits(),
-        };
+        let [upper, lower] = words_of(sender);
         let place = u64::from(node) | (direction as u64) << 8 | (reason as u64) << 16;
-        [(octets >> 64) as u64, octets as u64, net, place]
+        [upper, lower, net, place]
     }
 
     fn from_words([upper, lower, net, place]: [u64; 4]) -> Option<Self> {
-        let octets = u128::from(upper) << 64 | u128::from(lower);
         Some(Self {
-            sender: Ipv6Addr::from_bits(octets).to_canonical(),
+            sender: address_of([upper, lower]),
             net,
             node: place as u8,
             direction: *Direction::VARIANTS.get((place >> 8) as usize & 0xFF)?,

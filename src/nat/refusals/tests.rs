@@ -186,7 +186,7 @@ fn one_that_is_given_away_meanwhile_is_left_out() {
     world.note(5, of(1));
     let entries = world.refusals.sets.iter().flatten().flat_map(|set| &set.entries);
     let mut entries = entries.filter(|entry| entry.get().is_some());
-    entries.next().unwrap().version.store(3, Relaxed);
+    entries.next().unwrap().0.version.store(3, Relaxed);
     assert_eq!(world.refusals.list().count(), 0);
 }
 
