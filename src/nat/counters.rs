@@ -12,7 +12,7 @@ use std::sync::Arc;
 use super::counter::{Counter, Writer};
 use super::ids::{MappingId, NetId};
 use super::last_sender::LastSender;
-use super::net::{Mapping, Net};
+use super::net::Net;
 use super::reason::{CloseReason, Direction, DropReason};
 use super::refusals::{Refusals, net_key};
 use super::response_times::ResponseTimes;
@@ -175,12 +175,11 @@ impl Counters {
             .zip(&self.accepted)
             .flat_map(|(net, accepted)| credential_names(net).zip(accepted))
             .collect();
-        let nodes: HashMap<_, _> =
-            old.mappings().iter().map(|was| node_name(old, was)).zip(&self.nodes).collect();
+        let nodes: HashMap<_, _> = old.node_names().zip(&self.nodes).collect();
         let of_net =
             |net: &Net| credential_names(net).map(|name| known(&accepted, &name)).collect();
         Self {
-            nodes: new.mappings().iter().map(|is| known(&nodes, &node_name(new, is))).collect(),
+            nodes: new.node_names().map(|name| known(&nodes, &name)).collect(),
             nets: new.nets().iter().map(|net| known(&nets, &&net.name)).collect(),
             accepted: new.nets().iter().map(of_net).collect(),
             net_keys: net_keys(new),
@@ -218,11 +217,6 @@ fn net_keys(table: &Table) -> Box<[u64]> {
 /// What identifies a net's credentials.
 fn credential_names(net: &Net) -> impl Iterator<Item = (&str, &str)> {
     net.credentials.iter().map(|credential| (&*net.name, &*credential.name))
-}
-
-/// What identifies a node.
-fn node_name<'a>(table: &'a Table, mapping: &Mapping) -> (&'a str, u8) {
-    (&table.net(mapping.net).name, mapping.node_address)
 }
 
 /// The counters with this name, or new ones.

@@ -36,6 +36,16 @@ pub enum NetKind {
 }
 
 impl NetKind {
+    /// The name of its block in the configuration, and in the API.
+    pub const fn label(self) -> &'static str {
+        match self {
+            Self::UdpRange { .. } => "udp_range_net",
+            Self::Server => "server",
+            Self::Remote { .. } => "remote_net",
+            Self::ProfinetDevice { .. } => "profinet_device",
+        }
+    }
+
     /// Whether clients send without a password, which is put on here.
     #[inline]
     pub fn is_remote(self) -> bool {

@@ -93,6 +93,13 @@ impl Table {
         (0..self.mappings.len()).map(|index| MappingId(index as u32))
     }
 
+    /// What identifies each node, also in other tables: the name of its net, and its node address. In the
+    /// order of the mappings.
+    pub fn node_names(&self) -> impl Iterator<Item = (&str, u8)> {
+        let name = |mapping: &Mapping| (&*self.net(mapping.net).name, mapping.node_address);
+        self.mappings.iter().map(name)
+    }
+
     /// The indices of one net's mappings, in their order.
     pub fn mappings_of(&self, net: NetId) -> impl Iterator<Item = MappingId> + '_ {
         let net_of = |id: &MappingId| self.mapping(*id).net.0;

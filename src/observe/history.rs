@@ -12,7 +12,7 @@ use std::time::Duration;
 
 use strum::VariantArray;
 
-use crate::nat::{Mapping, MappingId, NetId, Table};
+use crate::nat::{MappingId, NetId, Table};
 use crate::observe::totals::{Presence, ResponseTotals};
 
 /// The figures that are kept.
@@ -225,11 +225,12 @@ impl History {
         if Arc::ptr_eq(table, &self.table) {
             return;
         }
-        let known: HashMap<_, _> = names(&self.table).zip(self.table.mapping_ids()).collect();
+        let known: HashMap<_, _> = self.table.node_names().zip(self.table.mapping_ids()).collect();
         let old = |name| known.get(&name).map(|id: &MappingId| id.0 as usize);
         let strip = |name| old(name).map_or([0; Self::MINUTES / 4], |id| self.strips[id]);
-        let strips = names(table).map(strip).collect();
-        let states = names(table).map(|name| old(name).map_or(NOT_RUNNING, |id| self.states[id]));
+        let strips = table.node_names().map(strip).collect();
+        let states =
+            table.node_names().map(|name| old(name).map_or(NOT_RUNNING, |id| self.states[id]));
         (self.states, self.strips) = (states.collect(), strips);
         self.table = Arc::clone(table);
     }
@@ -287,12 +288,6 @@ impl History {
             nodes: mappings.map(node).collect(),
         }
     }
-}
-
-/// What identifies each node of a table, in the order of its mappings.
-fn names(table: &Table) -> impl Iterator<Item = (&str, u8)> {
-    let name = |mapping: &Mapping| (table.net(mapping.net).name.as_str(), mapping.node_address);
-    table.mappings().iter().map(name)
 }
 
 #[cfg(test)]

@@ -288,6 +288,11 @@ impl NodeTotals {
         &self.directions[direction as usize]
     }
 
+    /// The datagrams of both directions that were dropped for this reason.
+    pub fn dropped(&self, reason: DropReason) -> u64 {
+        self.directions.iter().map(|direction| direction.dropped(reason)).sum()
+    }
+
     /// Adds the counts of the node behind a mapping, over all `workers`.
     pub fn add_node(&mut self, workers: &[Arc<Counters>], mapping: MappingId) {
         workers.iter().for_each(|worker| self.add(worker.node(mapping)));

@@ -3,8 +3,10 @@
 
 use std::collections::BTreeMap;
 
+use strum::VariantArray;
+
 use super::Check;
-use crate::nat::{Direction, DropReason};
+use crate::nat::DropReason;
 
 /// The name of these checks.
 const CHECK: &str = "clients";
@@ -32,16 +34,11 @@ impl Counted {
             };
             checks.push(Check::doubtful(CHECK, subject, text));
         }
-        let reasons = Direction::ALL.into_iter().flat_map(Direction::drop_reasons);
-        let mut counts: Vec<(u64, DropReason)> = Vec::new();
-        for reason in reasons {
-            let is_new = counts.iter().all(|(_, other)| *other != reason);
-            if let Some(&count) = self.dropped.get(reason.label()).filter(|_| is_new)
-                && count > 0
-            {
-                counts.push((count, reason));
-            }
-        }
+        let count = |reason: &DropReason| (self.dropped.get(reason.label()).copied(), *reason);
+        let counts = DropReason::VARIANTS.iter().map(count);
+        let mut counts: Vec<(u64, DropReason)> = counts
+            .filter_map(|(count, reason)| Some((count.filter(|&n| n > 0)?, reason)))
+            .collect();
         counts.sort_by_key(|(count, _)| std::cmp::Reverse(*count));
         if let Some((_, most)) = counts.first() {
             let item = |&(count, reason): &(u64, DropReason)| {

@@ -114,15 +114,13 @@ pub(super) struct NetRules<'a> {
 
 impl<'a> NetRules<'a> {
     pub(super) fn of(net: &'a Net) -> Self {
-        let (kind, start_port) = match net.kind {
-            NetKind::UdpRange { start_port } => ("udp_range_net", Some(start_port)),
-            NetKind::Server => ("server", None),
-            NetKind::Remote { start_port } => ("remote_net", Some(start_port)),
-            NetKind::ProfinetDevice { .. } => ("profinet_device", None),
+        let start_port = match net.kind {
+            NetKind::UdpRange { start_port } | NetKind::Remote { start_port } => Some(start_port),
+            NetKind::Server | NetKind::ProfinetDevice { .. } => None,
         };
         Self {
             name: &net.name,
-            kind,
+            kind: net.kind.label(),
             start_port,
             allow: &net.allow,
             credentials: net.credentials.iter().map(CredentialName::of).collect(),

@@ -12,10 +12,11 @@ use axum::http::StatusCode;
 use axum::http::header::RETRY_AFTER;
 use axum::response::{IntoResponse, Response};
 use serde::Deserialize;
+use strum::VariantArray;
 use tokio::sync::Mutex;
 
 use crate::admin::Shared;
-use crate::nat::{Direction, DropReason};
+use crate::nat::DropReason;
 use crate::observe::totals::{NodeTotals, Presence};
 use crate::probe::{Asked, Counted, Report};
 
@@ -76,21 +77,13 @@ fn too_many() -> Response {
 
 /// What the relay has counted of a node.
 fn counted(totals: &NodeTotals, now: Duration) -> Counted {
-    let all = Direction::ALL.into_iter().flat_map(|direction| {
-        let count = move |reason: DropReason| (direction, reason);
-        direction.drop_reasons().map(count)
-    });
-    let mut counted = Counted {
-        is_silent: totals.contact.presence(now) == Presence::Silent,
-        last_answer_seconds: totals
-            .contact
+    let contact = &totals.contact;
+    let dropped = |reason: &DropReason| (reason.label().to_owned(), totals.dropped(*reason));
+    Counted {
+        is_silent: contact.presence(now) == Presence::Silent,
+        last_answer_seconds: contact
             .last_response
             .map(|last| now.saturating_sub(last).as_secs_f64()),
-        ..Counted::default()
-    };
-    for (direction, reason) in all {
-        let count = totals.direction(direction).dropped(reason);
-        *counted.dropped.entry(reason.label().to_owned()).or_default() += count;
+        dropped: DropReason::VARIANTS.iter().map(dropped).collect(),
     }
-    counted
 }

@@ -7,7 +7,7 @@ use serde::Serialize;
 use super::Refusal;
 use super::client::rows;
 use crate::config::{Config, Fault, Warning};
-use crate::nat::{Mapping, Net, NetKind};
+use crate::nat::{Mapping, Net};
 
 /// Faults, or what the configuration results in.
 #[derive(Serialize)]
@@ -150,12 +150,7 @@ fn outcome(config: &Config) -> Outcome<'_> {
 fn of_net(net: &Net) -> OfNet<'_> {
     OfNet {
         name: &net.name,
-        kind: match net.kind {
-            NetKind::UdpRange { .. } => "udp_range_net",
-            NetKind::Server => "server",
-            NetKind::ProfinetDevice { .. } => "profinet_device",
-            NetKind::Remote { .. } => "remote_net",
-        },
+        kind: net.kind.label(),
         allow: net.allow.iter().map(ToString::to_string).collect(),
         passwords: net.credentials.iter().map(|credential| credential.name.as_str()).collect(),
         allow_without_password: net.allow_without_password,

@@ -16,7 +16,7 @@ use strum::VariantArray;
 use tokio::time::{self, MissedTickBehavior};
 
 use crate::datapath::{ActiveConfig, Router};
-use crate::nat::{Direction, DropReason, MappingId, Table};
+use crate::nat::{DropReason, MappingId, Table};
 use crate::observe::totals::NodeTotals;
 
 use group::{Group, Window};
@@ -137,22 +137,12 @@ impl DropReport {
 /// The datagrams dropped so far on the way to and from a node, by reason.
 fn dropped(active: &ActiveConfig, mapping: MappingId) -> [u64; DropReason::COUNT] {
     let totals = NodeTotals::of_node(&active.counters, mapping);
-    let mut dropped = [0; DropReason::COUNT];
-    for direction in Direction::ALL {
-        for reason in direction.drop_reasons() {
-            dropped[reason as usize] += totals.direction(direction).dropped(reason);
-        }
-    }
-    dropped
+    std::array::from_fn(|reason| totals.dropped(DropReason::VARIANTS[reason]))
 }
 
 /// Carries figures from the mappings of one table over to those of another. A node is found by its
 /// net and node address.
 fn carried_over<T: Copy + Default>(figures: &[T], old: &Table, new: &Table) -> Vec<T> {
-    fn nodes(table: &Table) -> impl Iterator<Item = (&str, u8)> {
-        let mappings = table.mappings().iter();
-        mappings.map(|mapping| (table.net(mapping.net).name.as_str(), mapping.node_address))
-    }
-    let figures: HashMap<_, _> = nodes(old).zip(figures).collect();
-    nodes(new).map(|node| figures.get(&node).copied().copied().unwrap_or_default()).collect()
+    let figures: HashMap<_, _> = old.node_names().zip(figures).collect();
+    new.node_names().map(|node| figures.get(&node).copied().copied().unwrap_or_default()).collect()
 }

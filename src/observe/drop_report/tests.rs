@@ -7,7 +7,7 @@ use serde_json::{Value, json};
 use super::*;
 use crate::config::fixture::{NODE_1, NODE_33, SECTION, config};
 use crate::logging::tests::logged;
-use crate::nat::{Refused, Writer, net_key};
+use crate::nat::{Direction, Refused, Writer, net_key};
 
 /// Writes one report and returns its lines.
 fn report(drops: &mut DropReport) -> Vec<Value> {
