@@ -176,12 +176,16 @@ fn by_net(nodes: &[(&str, u8)]) -> Vec<String> {
 
 /// Ascending numbers as runs: "1-4, 33".
 pub(crate) fn runs(numbers: &[u16]) -> String {
+    each_run(numbers).collect::<Vec<_>>().join(", ")
+}
+
+/// The runs of ascending numbers: "1-4", "33".
+pub(crate) fn each_run(numbers: &[u16]) -> impl Iterator<Item = String> {
     let runs = numbers.chunk_by(|number, next| number.checked_add(1) == Some(*next));
-    let runs = runs.map(|run| match run {
+    runs.map(|run| match run {
         [first, .., last] => format!("{first}-{last}"),
         run => run[0].to_string(),
-    });
-    runs.collect::<Vec<_>>().join(", ")
+    })
 }
 
 #[cfg(test)]

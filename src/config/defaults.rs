@@ -22,7 +22,7 @@ pub(super) const SENDERS_OF_AN_ADDRESS: u32 = 512;
 /// `wrong_password_interval`.
 pub(super) const WRONG_PASSWORD_INTERVAL: Duration = Duration::from_secs(6);
 /// `[admin] listen`.
-pub(super) const ADMIN_LISTEN: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 9378);
+pub(crate) const ADMIN_LISTEN: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 9378);
 
 impl Default for Datapath {
     fn default() -> Self {

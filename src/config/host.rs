@@ -24,17 +24,19 @@ pub(super) struct ThisHost;
 
 impl Host for ThisHost {
     fn source_towards(&self, to: SocketAddr) -> Option<io::Result<IpAddr>> {
-        let any: IpAddr = match to.ip() {
-            IpAddr::V4(_) => Ipv4Addr::UNSPECIFIED.into(),
-            IpAddr::V6(_) => Ipv6Addr::UNSPECIFIED.into(),
-        };
-        let source = || {
-            let socket = UdpSocket::bind((any, 0))?;
-            socket.connect(to)?;
-            Ok(socket.local_addr()?.ip())
-        };
-        Some(source())
+        Some(source_towards(to))
     }
+}
+
+/// The address from which datagrams to `to` would leave. Sends nothing.
+pub(crate) fn source_towards(to: SocketAddr) -> io::Result<IpAddr> {
+    let any: IpAddr = match to.ip() {
+        IpAddr::V4(_) => Ipv4Addr::UNSPECIFIED.into(),
+        IpAddr::V6(_) => Ipv6Addr::UNSPECIFIED.into(),
+    };
+    let socket = UdpSocket::bind((any, 0))?;
+    socket.connect(to)?;
+    Ok(socket.local_addr()?.ip())
 }
 
 /// A host of which nothing is known: only the text is checked.

@@ -61,11 +61,17 @@ use net::{Draft, PublicPort};
 use report::Report;
 use toml_table::Section;
 
+#[cfg(feature = "cli")]
+pub(crate) use changes::each_run;
 pub(crate) use changes::runs;
 pub use changes::{Changes, NotInForce};
+#[cfg(feature = "cli")]
+pub(crate) use defaults::ADMIN_LISTEN;
 pub use environment::Environment;
 #[cfg(feature = "cli")]
 pub(crate) use file::shell_quoted;
+#[cfg(feature = "cli")]
+pub(crate) use host::source_towards;
 #[cfg(feature = "cli")]
 pub(crate) use ip_net_table::row_as_toml as ip_net_as_toml;
 pub use ip_net_table::{Passwords, load as load_ip_net_table, parse as parse_ip_net_table};

@@ -21,5 +21,7 @@ pub(crate) use router::descriptors_needed;
 pub use router::{Bound, Router};
 pub use socket::descriptors::TooFewDescriptors;
 pub use socket::filtered::KernelDrops;
+#[cfg(feature = "cli")]
+pub(crate) use socket::port_pool::{USUAL_PORT_RANGE, port_range, port_ranges};
 pub use socket::setup::StartError;
 pub(crate) use throttlings::Throttling;

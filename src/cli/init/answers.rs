@@ -11,7 +11,8 @@ use ipnet::{IpNet, Ipv4Net};
 
 use super::host::{self, Host};
 use super::{Args, Plan};
-use crate::config::{NodeRange, NotANodeRange, is_name};
+use crate::config::{NodeRange, NotANodeRange, each_run, is_name};
+use crate::pnet::wire::LAST_START_PORT;
 
 /// A subnet of 256 addresses, by its first one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -51,28 +52,24 @@ impl Subnet {
 
 /// Node addresses, each once: at least one.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) struct Nodes(Vec<u8>);
+pub(super) struct Nodes(Vec<u16>);
 
 impl Nodes {
     pub(super) fn of(ranges: &[NodeRange]) -> Self {
-        let mut nodes: Vec<u8> = ranges.iter().flat_map(|range| range.0.clone()).collect();
+        let mut nodes: Vec<u16> =
+            ranges.iter().flat_map(|range| range.0.clone()).map(u16::from).collect();
         nodes.sort_unstable();
         nodes.dedup();
         Self(nodes)
     }
 
-    pub(super) fn iter(&self) -> impl Iterator<Item = u8> {
+    pub(super) fn iter(&self) -> impl Iterator<Item = u16> {
         self.0.iter().copied()
     }
 
     /// Runs of them as people write them: `1-4`, `33`.
     pub(super) fn runs(&self) -> impl Iterator<Item = String> {
-        let runs = self.0.chunk_by(|a, b| a + 1 == *b);
-        runs.map(|run| match run {
-            [first, .., last] => format!("{first}-{last}"),
-            [alone] => alone.to_string(),
-            [] => String::new(),
-        })
+        each_run(&self.0)
     }
 }
 
@@ -227,8 +224,8 @@ impl<R: BufRead, W: Write> Answers<R, W> {
                 Offer::Default(host::free_block(&heard, &nodes).to_string())
             },
             |text| {
-                let port = text.parse().ok().filter(|port| (1..=65410).contains(port));
-                port.ok_or("write a port from 1 to 65410")
+                let port = text.parse().ok().filter(|port| (1..=LAST_START_PORT).contains(port));
+                port.ok_or_else(|| format!("write a port from 1 to {LAST_START_PORT}"))
             },
         )?;
         let name = self.answer(

@@ -94,7 +94,7 @@ impl Plan {
         let allow = list(self.allow.iter().map(|it| quoted(it.to_string())).collect());
         let Self { subnet, start_port, name, .. } = self;
         let example = self.nodes.iter().next().unwrap_or(1);
-        let port = start_port + u16::from(example);
+        let port = start_port + example;
         let [a, b, c, _] = subnet.0.octets();
         let server = format!("{a}.{b}.{c}.{example}");
         let admin = self.admin_port.map_or(String::new(), |port| {

@@ -4,17 +4,19 @@
 
 use std::fmt::{self, Display};
 use std::fs;
-use std::io::{self, ErrorKind};
+use std::io::ErrorKind;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr, TcpListener, UdpSocket};
 
 use nix::ifaddrs::getifaddrs;
 use nix::net::if_::InterfaceFlags;
 
 use super::answers::{Nodes, Subnet, subnet_of};
+use crate::config::{ADMIN_LISTEN, source_towards};
+use crate::datapath::{USUAL_PORT_RANGE, port_range};
 use crate::pnet::wire::{LAST_START_PORT, SECURE_PORT};
 
 /// The usual port of the admin server.
-pub(super) const ADMIN_PORT: u16 = 9378;
+pub(super) const ADMIN_PORT: u16 = ADMIN_LISTEN.port();
 
 /// Start ports that are offered, in this order.
 fn start_ports() -> impl Iterator<Item = u16> {
@@ -50,12 +52,8 @@ impl Host {
 
     /// The address towards the Internet; an address that is reserved for documentation stands for that.
     pub(super) fn public(&self) -> Option<IpAddr> {
-        let source = || {
-            let socket = UdpSocket::bind((Ipv4Addr::UNSPECIFIED, 0))?;
-            socket.connect((Ipv4Addr::new(192, 0, 2, 1), 9))?;
-            io::Result::Ok(socket.local_addr()?.ip())
-        };
-        source().ok().filter(|address| !address.is_unspecified())
+        let source = source_towards((Ipv4Addr::new(192, 0, 2, 1), 9).into());
+        source.ok().filter(|address| !address.is_unspecified())
     }
 
     /// The subnet of another interface than those that clients come in by, a private one.
@@ -75,12 +73,11 @@ impl Host {
 /// The first block outside the ports that Linux lends to other programs in which no node's port is in use;
 /// the first one where there is none.
 pub(super) fn free_block(listen: &[IpAddr], nodes: &Nodes) -> u16 {
-    let lent = fs::read_to_string("/proc/sys/net/ipv4/ip_local_port_range").unwrap_or_default();
-    let mut lent = lent.split_ascii_whitespace().filter_map(|port| port.parse().ok());
-    let (first, last) = (lent.next().unwrap_or(32_768), lent.next().unwrap_or(60_999));
-    let is_lent = |start: u16| start + 127 >= first && start <= last;
+    let lent = fs::read_to_string("/proc/sys/net/ipv4/ip_local_port_range").ok();
+    let lent = lent.and_then(|lent| port_range(&lent)).unwrap_or(USUAL_PORT_RANGE);
+    let is_lent = |start: u16| start + 127 >= *lent.start() && start <= *lent.end();
     let is_used = |start: u16| {
-        let ports = nodes.iter().map(|node| start + u16::from(node));
+        let ports = nodes.iter().map(|node| start + node);
         ports.into_iter().any(|port| listen.iter().any(|address| is_taken((*address, port).into())))
     };
     start_ports().find(|start| !is_lent(*start) && !is_used(*start)).unwrap_or(20_000)

@@ -20,6 +20,7 @@ use nix::unistd::geteuid;
 use super::output::out;
 use super::{BAD_USE, check, complain};
 use crate::config::{NodeRange, shell_quoted};
+use crate::pnet::wire::LAST_START_PORT;
 use answers::{Allowed, Answers, By, Name, Nodes, Subnet};
 use files::Files;
 
@@ -68,7 +69,7 @@ pub(super) struct Args {
     #[arg(
         long,
         value_name = "PORT",
-        value_parser = clap::value_parser!(u16).range(1..=65410),
+        value_parser = clap::value_parser!(u16).range(1..=i64::from(LAST_START_PORT)),
         env = "PNET_NAT_START_PORT"
     )]
     start_port: Option<u16>,

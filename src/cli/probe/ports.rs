@@ -5,6 +5,7 @@ use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
 
 use super::host::Owner;
 use crate::config::runs;
+use crate::datapath::{port_range, port_ranges};
 use crate::probe::Check;
 
 /// The name that the relay's process has.
@@ -104,20 +105,11 @@ impl Sockets {
 /// net.ipv4.ip_local_port_range and ip_local_reserved_ports.
 pub(super) fn ephemeral(net: &str, ports: &[u16], range: Option<&str>, reserved: &str) -> Check {
     const CHECK: &str = "port range";
-    let limits = range.and_then(|range| {
-        let mut limits = range.split_whitespace().map(str::parse::<u16>);
-        Some(limits.next()?.ok()?..=limits.next()?.ok()?)
-    });
-    let Some(limits) = limits else {
+    let Some(limits) = range.and_then(port_range) else {
         return Check::unknown(CHECK, net, "net.ipv4.ip_local_port_range cannot be read");
     };
-    let is_reserved = |port: u16| {
-        reserved.trim().split(',').any(|run| {
-            let (first, last) = run.split_once('-').unwrap_or((run, run));
-            let (first, last) = (first.trim().parse::<u16>(), last.trim().parse::<u16>());
-            matches!((first, last), (Ok(first), Ok(last)) if (first..=last).contains(&port))
-        })
-    };
+    let reserved = port_ranges(reserved);
+    let is_reserved = |port: u16| reserved.iter().any(|run| run.contains(&port));
     let mut lent: Vec<_> = ports.to_vec();
     lent.sort_unstable();
     lent.dedup();

@@ -3,9 +3,9 @@
 use std::net::{IpAddr, SocketAddr};
 use std::time::SystemTime;
 
-use super::host::{self, Interface, source_towards};
+use super::host::{self, Interface};
 use super::{conntrack, firewall, machine, net, ports};
-use crate::config::Config;
+use crate::config::{Config, source_towards};
 use crate::datapath::descriptors_needed;
 use crate::nat::Mapping;
 use crate::probe::Check;

@@ -9,8 +9,7 @@ use serde::Deserialize;
 use serde_json::Value;
 use strum::VariantArray;
 
-use super::super::output::age;
-use super::super::output::table;
+use super::super::output::{age, table};
 use super::table::Layout;
 use crate::nat::DropReason;
 

@@ -21,7 +21,7 @@ use crate::pnet::wire::{NORMAL_PORT, SECURE_PORT, SNA};
 const WORDS: usize = 1 << 10;
 
 /// Linux's default of `ip_local_port_range`, for when the setting cannot be read.
-const USUAL: RangeInclusive<u16> = 32_768..=60_999;
+pub(crate) const USUAL_PORT_RANGE: RangeInclusive<u16> = 32_768..=60_999;
 
 /// How many ports of other programs are tried before the relay reports that no port is left.
 const TRIES: usize = 128;
@@ -185,23 +185,26 @@ fn needed(config: &Config) -> impl Iterator<Item = RangeInclusive<u16>> {
 impl Host {
     fn read() -> Self {
         let read = |name| fs::read_to_string(format!("/proc/sys/net/ipv4/{name}"));
-        let lent = read("ip_local_port_range").ok().and_then(|text| {
-            let (first, last) = text.trim().split_once(char::is_whitespace)?;
-            Some(first.parse().ok()?..=last.trim().parse().ok()?)
-        });
+        let lent = read("ip_local_port_range").ok().and_then(|text| port_range(&text));
         let reserved = read("ip_local_reserved_ports").unwrap_or_default();
         let lowest = read("ip_unprivileged_port_start").ok();
         let lowest = lowest.and_then(|text| text.trim().parse().ok()).unwrap_or(0);
         Self {
-            lent: vec![lent.unwrap_or(USUAL)],
-            reserved: ranges(&reserved),
+            lent: vec![lent.unwrap_or(USUAL_PORT_RANGE)],
+            reserved: port_ranges(&reserved),
             lowest: lowest.max(1024),
         }
     }
 }
 
-/// Reads port ranges in the kernel's form, such as "8080,40000-40127".
-fn ranges(text: &str) -> Vec<RangeInclusive<u16>> {
+/// Reads the one range of `ip_local_port_range`.
+pub(crate) fn port_range(text: &str) -> Option<RangeInclusive<u16>> {
+    let (first, last) = text.trim().split_once(char::is_whitespace)?;
+    Some(first.parse().ok()?..=last.trim().parse().ok()?)
+}
+
+/// Reads the ranges of `ip_local_reserved_ports`, such as "8080,40000-40127".
+pub(crate) fn port_ranges(text: &str) -> Vec<RangeInclusive<u16>> {
     let range = |text: &str| {
         let (first, last) = text.split_once('-').unwrap_or((text, text));
         Some(first.parse().ok()?..=last.parse().ok()?)

@@ -8,7 +8,7 @@ use std::net::IpAddr;
 
 use super::client::{Row, rows};
 use crate::cli::output::plain_table;
-use crate::config::Config;
+use crate::config::{Config, each_run};
 use crate::nat::Mapping;
 use crate::pnet::ip_net_table::Nettype;
 
@@ -82,9 +82,8 @@ fn address(listen: &[IpAddr]) -> String {
 
 /// Node addresses as `pnet-nat request` takes them: `1-4,33`.
 fn nodes(mappings: &[Mapping]) -> String {
-    let runs = mappings.chunk_by(|a, b| a.node_address + 1 == b.node_address);
-    let runs = runs.map(|run| super::span(run[0].node_address, run[run.len() - 1].node_address));
-    runs.collect::<Vec<_>>().join(",")
+    let nodes: Vec<_> = mappings.iter().map(|mapping| mapping.node_address.into()).collect();
+    each_run(&nodes).collect::<Vec<_>>().join(",")
 }
 
 /// A command that asks the net's nodes, or one of them where a command has only one port.

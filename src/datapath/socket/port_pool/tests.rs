@@ -22,7 +22,7 @@ fn config(start_port: u16) -> Config {
 }
 
 fn ports(lent: RangeInclusive<u16>, reserved: &str) -> Arc<Ports> {
-    let host = Host { lent: vec![lent], reserved: ranges(reserved), lowest: 1024 };
+    let host = Host { lent: vec![lent], reserved: port_ranges(reserved), lowest: 1024 };
     Arc::new(Ports::of_host(host, &config(40_000)))
 }
 
@@ -107,8 +107,8 @@ fn a_port_of_another_program_is_passed_over() {
 
 #[test]
 fn what_the_kernel_writes() {
-    assert_eq!(ranges("8080,40000-40127\n"), [8080..=8080, 40_000..=40_127]);
-    assert_eq!(ranges("\n"), []);
+    assert_eq!(port_ranges("8080,40000-40127\n"), [8080..=8080, 40_000..=40_127]);
+    assert_eq!(port_ranges("\n"), []);
     let host = Host::read();
     assert!(host.lowest >= 1024 && !host.lent[0].is_empty());
 }
