@@ -10,13 +10,12 @@ use std::time::Duration;
 
 use anyhow::Context;
 use clap::builder::BoolishValueParser;
-use serde_json::{Value, json};
+use serde_json::Value;
 
 use super::admin_server::{self, AdminServer, percent_encoded};
 use super::output::{Format, out};
-use super::screen::{json_line, show};
-use super::signals::Signals;
-use crate::harmless::{harmless, harmless_value};
+use super::screen::{json_line, watch};
+use crate::harmless::harmless_value;
 
 use table::Flows;
 
@@ -89,33 +88,16 @@ pub(super) fn run(args: &Args) -> anyhow::Result<ExitCode> {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     runtime.block_on(async {
         match args.watch {
-            Some(interval) => watch(args, &relay, interval).await,
+            Some(interval) => {
+                let more = "pnet-nat flows, or --net";
+                watch(interval, args.format, more, async || Ok(text(args, &relay).await)).await
+            }
             None => {
                 out().write_all(text(args, &relay).await?.as_bytes())?;
                 Ok(ExitCode::SUCCESS)
             }
         }
     })
-}
-
-/// Goes on when the relay does not answer, since it may answer again later.
-async fn watch(args: &Args, relay: &AdminServer, interval: Duration) -> anyhow::Result<ExitCode> {
-    let mut signals = Signals::new()?;
-    loop {
-        let text = tokio::select! {
-            text = text(args, relay) => text,
-            _ = signals.next() => return Ok(ExitCode::SUCCESS),
-        };
-        let text = text.unwrap_or_else(|error| match args.format {
-            Format::Json => json_line(&json!({ "error": format!("{error:#}") })),
-            Format::Text => format!("pnet-nat: {}\n", harmless(&format!("{error:#}"))),
-        });
-        show(&text, args.format, "pnet-nat flows, or --net")?;
-        tokio::select! {
-            _ = signals.next() => return Ok(ExitCode::SUCCESS),
-            () = tokio::time::sleep(interval) => {}
-        }
-    }
 }
 
 /// What is shown.

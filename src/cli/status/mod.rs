@@ -18,9 +18,8 @@ use serde_json::{Map, Value, json};
 
 use super::admin_server::{self, AdminServer, percent_encoded};
 use super::output::{Format, Paint, out};
-use super::screen::{json_line, show, width};
-use super::signals::Signals;
-use crate::harmless::{harmless, harmless_value};
+use super::screen::{json_line, watch, width};
+use crate::harmless::harmless_value;
 
 use events::Events;
 use refused::Refused;
@@ -105,7 +104,7 @@ pub(super) fn run(args: Args) -> anyhow::Result<ExitCode> {
     runtime.block_on(async {
         match args.watch {
             None if args.events => events(&args, &relay).await,
-            Some(interval) => watch(&args, &relay, interval).await,
+            Some(interval) => again(&args, &relay, interval).await,
             None => once(&args, &relay).await,
         }
     })
@@ -132,35 +131,23 @@ async fn events(args: &Args, relay: &Relay) -> anyhow::Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// Goes on when the relay does not answer, since it may answer again later.
-async fn watch(args: &Args, relay: &Relay, interval: Duration) -> anyhow::Result<ExitCode> {
-    let mut signals = Signals::new()?;
+async fn again(args: &Args, relay: &Relay, interval: Duration) -> anyhow::Result<ExitCode> {
     let mut before: Option<(Instant, Snapshot)> = None;
-    loop {
+    watch(interval, args.format, "pnet-nat status, or --net", async || {
         let now = Instant::now();
-        let answer = tokio::select! {
-            answer = relay.ask() => answer,
-            _ = signals.next() => return Ok(ExitCode::SUCCESS),
+        let answer = match relay.ask().await {
+            Ok(answer) => answer,
+            Err(error) => return Ok(Err(error)),
         };
-        let text = match (answer, args.format) {
-            (Ok(answer), Format::Json) => json_line(&answer),
-            (Ok(answer), Format::Text) => {
-                let earlier = before.as_ref().map(|(then, seen)| (now - *then, seen));
-                let (text, seen) = draw(args, relay, answer, earlier)?;
-                before = seen.map(|seen| (now, seen));
-                text
-            }
-            (Err(error), Format::Json) => json_line(&json!({ "error": format!("{error:#}") })),
-            (Err(error), Format::Text) => {
-                format!("pnet-nat: {}\n", harmless(&format!("{error:#}")))
-            }
-        };
-        show(&text, args.format, "pnet-nat status, or --net")?;
-        tokio::select! {
-            _ = signals.next() => return Ok(ExitCode::SUCCESS),
-            () = tokio::time::sleep(interval) => {}
+        if args.format == Format::Json {
+            return Ok(Ok(json_line(&answer)));
         }
-    }
+        let earlier = before.as_ref().map(|(then, seen)| (now - *then, seen));
+        let (text, seen) = draw(args, relay, answer, earlier)?;
+        before = seen.map(|seen| (now, seen));
+        Ok(Ok(text))
+    })
+    .await
 }
 
 /// The text, and the state that the next look is compared with.
