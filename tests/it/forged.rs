@@ -4,9 +4,13 @@
 //! Needs root. The edge trusts every source here (`rp_filter` is off), as many routers do.
 
 use std::fs;
-use std::net::{SocketAddr, SocketAddrV4, SocketAddrV6};
+use std::net::{Ipv4Addr, SocketAddr, SocketAddrV4, SocketAddrV6};
 
-use crate::harness::{Network, Place, Relay, Settings, eventually, exchange, request};
+use serde_json::Value;
+
+use crate::harness::{
+    FIGURE_10, Network, Place, Relay, Settings, WRONG, datagram, eventually, exchange, request,
+};
 
 fn start(network: &Network, allow: &str) -> Relay {
     for interface in ["all", "eth0"] {
@@ -101,6 +105,53 @@ fn clients_over_ipv6_that_no_answer_reaches() {
         exchange(&client, public, &node, 4);
         assert_eq!(node.waiting(), None);
         assert_eq!(relay.at_rest().sum("pnet_nat_flows_opened_total", &[]), 1);
+        relay.finish();
+    });
+}
+
+/// A million senders, each with one wrong password. None of them is kept out by the kernel, so that the
+/// relay sees all that its buffers have room for.
+#[test]
+fn a_million_senders_take_no_more_memory_than_the_first_ones() {
+    const SENDERS: u32 = 1_000_000;
+    const FIRST: u32 = SENDERS / 10;
+    let Some(network) = Network::build() else { return };
+    network.at_the_edge(|| {
+        for interface in ["all", "eth0"] {
+            fs::write(format!("/proc/sys/net/ipv4/conf/{interface}/rp_filter"), "0").unwrap();
+        }
+        let place = Place { allow: r#"["0.0.0.0/0"]"#, ..network.place(r#"["198.51.100.1"]"#) };
+        let sections = "[datapath]\nprefilter = \"off\"";
+        let relay = place.relay(&Settings { sections, ..Settings::default() });
+        let (client, node) = (network.client("198.51.100.7"), network.node(4));
+        let public = network.public("198.51.100.1", 4);
+        exchange(&client, public, &node, 4);
+
+        let wrong = datagram(&FIGURE_10, &[], WRONG);
+        let flood = |numbers: std::ops::Range<u32>| {
+            let sender = |n: u32| SocketAddrV4::new(Ipv4Addr::from(0x0A00_0000 + n), 50_000);
+            let sent = u64::from(numbers.end);
+            network.internet.forge_all(numbers.map(sender), v4(public), &wrong);
+            let metrics = eventually("all are judged, or did not fit into the buffer", || {
+                let metrics = relay.metrics();
+                let full = metrics.sum("pnet_nat_kernel_dropped_datagrams_total", &[]);
+                (metrics.drops().values().sum::<u64>() + full == sent).then_some(metrics)
+            });
+            exchange(&client, public, &node, 4);
+            (relay.process.resident(), metrics.drops().values().sum::<u64>())
+        };
+        let (early, _) = flood(0..FIRST);
+        let (late, judged) = flood(FIRST..SENDERS);
+        println!("{early} octets, and {late} after all");
+        assert!(late <= early + (256 << 10), "it grows: {early}, {late}");
+        assert!(judged > u64::from(FIRST), "most were lost on the way: {judged}");
+        let count = |path: &str, list: &str| {
+            let answer: Value = serde_json::from_str(&relay.get(path).unwrap().1).unwrap();
+            (answer[list].as_array().unwrap().len(), answer["not_listed"].as_u64())
+        };
+        let (listed, not_listed) = count("/api/v1/refused", "refused");
+        assert!(listed < 1000 && not_listed > Some(judged - 10_000), "{listed} {not_listed:?}");
+        assert!(count("/api/v1/events", "events").0 < 300);
         relay.finish();
     });
 }

@@ -15,7 +15,7 @@ use crate::harness::{
 const LISTEN: &str = r#"["198.51.100.1"]"#;
 
 /// A configuration for the edge, with further keys of `[admin]`.
-fn configuration(network: &Network, admin: &str) -> String {
+pub(crate) fn configuration(network: &Network, admin: &str) -> String {
     let configuration = network.place(LISTEN).configuration(&Settings::default());
     configuration
         .replace(
@@ -26,7 +26,7 @@ fn configuration(network: &Network, admin: &str) -> String {
 }
 
 /// A simulated node in the plant, with the password in a file of `secrets`.
-fn node(network: &Network, node_address: u8, password: &str) -> (Process, TempDir) {
+pub(crate) fn node(network: &Network, node_address: u8, password: &str) -> (Process, TempDir) {
     let folder = folder("");
     let file = folder.path().join("secrets").join(password);
     let listen = format!("172.17.17.{node_address}");
@@ -37,12 +37,12 @@ fn node(network: &Network, node_address: u8, password: &str) -> (Process, TempDi
 }
 
 /// The exit code of a probe, and its checks.
-struct Probed {
-    code: Option<i32>,
-    report: Value,
+pub(crate) struct Probed {
+    pub(crate) code: Option<i32>,
+    pub(crate) report: Value,
 }
 
-fn probe(folder: &Path, options: &[&str]) -> Probed {
+pub(crate) fn probe(folder: &Path, options: &[&str]) -> Probed {
     let config = folder.join("pnet-nat.toml");
     let arguments = ["probe", "--config", config.to_str().unwrap(), "--format", "json"];
     let mut probe = Process::start(pnet_nat(&[&arguments, options].concat()));
@@ -56,7 +56,7 @@ fn probe(folder: &Path, options: &[&str]) -> Probed {
 impl Probed {
     /// Checks the verdict, and a part of the text or of the remedy, of a check.
     #[track_caller]
-    fn expect(&self, check: &str, subject: &str, verdict: &str, part: &str) {
+    pub(crate) fn expect(&self, check: &str, subject: &str, verdict: &str, part: &str) {
         let checks = self.report["checks"].as_array().unwrap();
         let is_it = |found: &&Value| found["check"] == check && found["subject"] == subject;
         let found: Vec<_> = checks.iter().filter(is_it).collect();

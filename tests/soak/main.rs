@@ -121,7 +121,7 @@ fn go_on(time: Duration, relay: &Relay, plant: &mut Plant<'_>, clients: &Clients
             plant.restart();
             at_last_restart = clients.restarted.answered();
         }
-        usage.sample(relay.process.id());
+        usage.sample(&relay.process);
         if round % PROGRESS_INTERVAL == 0 {
             println!(
                 "{:>6} s: {} exchanges, {usage}",

@@ -4,7 +4,7 @@ use std::fmt;
 use std::fs;
 use std::ops::Range;
 
-use crate::harness::Network;
+use crate::harness::{Network, Process};
 
 /// Octets that a process may grow by: an allocator is not exact.
 const SLACK: u64 = 1 << 20;
@@ -16,12 +16,9 @@ const MOMENTARY: u64 = 4;
 pub(crate) struct Usage(Vec<[u64; 2]>);
 
 impl Usage {
-    pub(crate) fn sample(&mut self, process: u32) {
-        let status = fs::read_to_string(format!("/proc/{process}/status")).unwrap();
-        let resident = status.lines().find_map(|line| line.strip_prefix("VmRSS:")).unwrap();
-        let resident: u64 = resident.trim().trim_end_matches(" kB").parse().unwrap();
-        let descriptors = fs::read_dir(format!("/proc/{process}/fd")).unwrap().count() as u64;
-        self.0.push([resident << 10, descriptors]);
+    pub(crate) fn sample(&mut self, process: &Process) {
+        let descriptors = fs::read_dir(format!("/proc/{}/fd", process.id())).unwrap().count();
+        self.0.push([process.resident(), descriptors as u64]);
     }
 
     /// The last quarter took no more than the second one: in the first, everything is still new.

@@ -48,7 +48,7 @@ function showBanner(status, states, lost, time) {
   $("refused-line").hidden = !total(lately);
   const each = Object.entries(lately).sort(([, a], [, b]) => b - a);
   const reasons = each.map(([reason, count]) => (each.length > 1 ? `${reason} (${whole.format(count)})` : reason));
-  write($("refused-sum"), `▲ ${counted(total(lately), "request")} refused: ${reasons.join(", ")}. The last ${age(newest)} ago. `);
+  write($("refused-sum"), `▲ ${counted(total(lately), "request")} refused: ${reasons.join(", ")}. The last was ${age(newest)} ago. `);
 }
 
 /** A button for each of the first silent nodes. Those that stay keep the focus. */

@@ -128,7 +128,7 @@ class NodeRow {
       const checks = found.checks.map(({ verdict, subject, text, remedy }) => {
         const [mark, word] = VERDICTS[verdict];
         const line = make("li", {}, make("b", { class: verdict }, `${mark} ${word}`), ` ${subject}: ${text}`);
-        if (remedy) line.append(make("small", {}, remedy));
+        if (remedy) line.append(make("small", {}, remedy.replaceAll("`", "")));
         return line;
       });
       const close = make("button", { type: "button" }, "Close");

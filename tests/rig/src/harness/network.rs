@@ -215,11 +215,23 @@ impl Namespace {
 
     /// Sends a UDP datagram with any source address and port.
     pub fn forge(&self, from: SocketAddrV4, to: SocketAddrV4, octets: &[u8]) {
-        let packet = packet(from, to, octets);
+        self.forge_all([from], to, octets);
+    }
+
+    /// Sends a UDP datagram from each of these, as fast as it goes.
+    pub fn forge_all(
+        &self,
+        from: impl IntoIterator<Item = SocketAddrV4> + Send,
+        to: SocketAddrV4,
+        octets: &[u8],
+    ) {
         self.enter(|| {
             let raw = Protocol::from(nix::libc::IPPROTO_RAW);
             let socket = Socket::new(Domain::IPV4, Type::RAW, Some(raw)).unwrap();
-            assert_eq!(socket.send_to(&packet, &to.into()).unwrap(), packet.len());
+            for from in from {
+                let packet = packet(from, to, octets);
+                assert_eq!(socket.send_to(&packet, &to.into()).unwrap(), packet.len());
+            }
         });
     }
 
