@@ -4,7 +4,7 @@
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::time::Duration;
 
-use super::model::{Datapath, Log, Prefilter, Runtime};
+use super::model::{Datapath, KernelFlows, Log, Prefilter, Runtime};
 
 /// Of a net: `max_flows`.
 pub(super) const NET_MAX_FLOWS: u32 = 4096;
@@ -26,7 +26,12 @@ pub(crate) const ADMIN_LISTEN: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr:
 
 impl Default for Datapath {
     fn default() -> Self {
-        Self { receive_buffer: 1 << 20, prefilter: Prefilter::Auto, busy_poll: Duration::ZERO }
+        Self {
+            receive_buffer: 1 << 20,
+            prefilter: Prefilter::Auto,
+            kernel: KernelFlows::Auto,
+            busy_poll: Duration::ZERO,
+        }
     }
 }
 

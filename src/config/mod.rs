@@ -75,7 +75,9 @@ pub(crate) use host::source_towards;
 #[cfg(feature = "cli")]
 pub(crate) use ip_net_table::row_as_toml as ip_net_as_toml;
 pub use ip_net_table::{Passwords, load as load_ip_net_table, parse as parse_ip_net_table};
-pub use model::{Admin, Config, Datapath, Log, NotAPrefilter, Prefilter, Runtime};
+pub use model::{
+    Admin, Config, Datapath, KernelFlows, Log, NotAPrefilter, NotKernelFlows, Prefilter, Runtime,
+};
 #[cfg(feature = "cli")]
 pub(crate) use name::is_name;
 #[cfg(feature = "cli")]

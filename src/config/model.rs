@@ -65,6 +65,8 @@ pub struct Datapath {
     pub receive_buffer: usize,
     /// When the kernel drops on the public sockets what cannot pass.
     pub prefilter: Prefilter,
+    /// Whether the kernel carries the datagrams of open flows by itself.
+    pub kernel: KernelFlows,
     /// How long a worker looks for the next datagram before it sleeps; zero: not at all.
     pub busy_poll: Duration,
 }
@@ -111,6 +113,45 @@ impl Prefilter {
             Self::Auto => "auto",
             Self::Always => "always",
             Self::Off => "off",
+        }
+    }
+}
+
+/// Whether the kernel carries the datagrams of open flows by itself, past the sockets.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum KernelFlows {
+    /// Where privilege and kernel allow it.
+    Auto,
+    /// Never.
+    Off,
+    /// The relay does not start without it.
+    Required,
+}
+
+/// A text that is not a value of `kernel`.
+#[derive(Debug, thiserror::Error)]
+#[error("choose \"auto\", \"off\" or \"required\"")]
+pub struct NotKernelFlows;
+
+impl FromStr for KernelFlows {
+    type Err = NotKernelFlows;
+
+    fn from_str(text: &str) -> Result<Self, NotKernelFlows> {
+        let named = Self::ALL.into_iter().find(|kernel| kernel.label() == text);
+        named.ok_or(NotKernelFlows)
+    }
+}
+
+impl KernelFlows {
+    /// All that there are.
+    pub const ALL: [Self; 3] = [Self::Auto, Self::Off, Self::Required];
+
+    /// The name that the configuration has for it.
+    pub const fn label(self) -> &'static str {
+        match self {
+            Self::Auto => "auto",
+            Self::Off => "off",
+            Self::Required => "required",
         }
     }
 }

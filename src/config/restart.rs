@@ -16,6 +16,8 @@ pub fn keep_settled(old: &Config, new: &mut Config) -> Vec<NotInForce> {
     keep("[runtime] user", was.user != is.user);
     keep("[runtime] workers", was.workers != is.workers);
     (is.user, is.workers) = (was.user.clone(), was.workers);
+    keep("[datapath] kernel", old.datapath.kernel != new.datapath.kernel);
+    new.datapath.kernel = old.datapath.kernel;
     keep("[admin] control", old.control != new.control);
     new.control.clone_from(&old.control);
     keep("[admin] enabled", old.admin.is_some() != new.admin.is_some());
@@ -38,8 +40,8 @@ mod tests {
     use std::num::NonZeroUsize;
 
     use super::*;
-    use crate::config::Token;
     use crate::config::fixture::config;
+    use crate::config::{KernelFlows, Token};
 
     #[test]
     fn what_needs_a_restart_stays_and_all_else_changes() {
@@ -48,6 +50,7 @@ mod tests {
         new.runtime.user = Some("relay".into());
         new.runtime.workers = NonZeroUsize::new(7);
         new.datapath.receive_buffer += 1;
+        new.datapath.kernel = KernelFlows::Off;
         new.limits.max_flows += 1;
         new.control = Some("control.sock".into());
         let admin = new.admin.as_mut().unwrap();
@@ -57,9 +60,15 @@ mod tests {
         let kept: Vec<_> = kept.iter().map(|kept| kept.what.as_str()).collect();
         assert_eq!(
             kept,
-            ["[runtime] user", "[runtime] workers", "[admin] control", "[admin] listen"]
+            [
+                "[runtime] user",
+                "[runtime] workers",
+                "[datapath] kernel",
+                "[admin] control",
+                "[admin] listen"
+            ]
         );
-        assert_eq!(new.control, None);
+        assert_eq!((new.control, new.datapath.kernel), (None, KernelFlows::Auto));
         let (was, is) = (old.admin.as_ref().unwrap(), new.admin.as_ref().unwrap());
         assert_eq!((was.listen, !was.reload), (is.listen, is.reload));
         assert_eq!(new.runtime.workers, old.runtime.workers);

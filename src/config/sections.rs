@@ -11,9 +11,9 @@ use crate::pnet::wire::Header;
 
 #[cfg(test)]
 use super::asked::Wanted;
-#[cfg(test)]
-use super::model::Prefilter;
 use super::model::{Admin, Datapath, Log, Runtime};
+#[cfg(test)]
+use super::model::{KernelFlows, Prefilter};
 use super::toml_table::{Entry, LONGEST, Section};
 use super::{address, defaults, net, secret, token};
 
@@ -88,15 +88,19 @@ pub(super) fn limits(mut section: Section<'_>) -> Limits {
 pub(super) fn datapath(mut section: Section<'_>) -> Datapath {
     let receive_buffer = section.key("receive_buffer", "1048576");
     let prefilter = section.key("prefilter", "\"auto\"");
+    let kernel = section.key("kernel", "\"auto\"");
     let busy_poll = section.key("busy_poll", "\"50us\"");
     #[cfg(test)]
     prefilter.asks(Wanted::OneOf(Prefilter::ALL.map(Prefilter::label).to_vec()));
+    #[cfg(test)]
+    kernel.asks(Wanted::OneOf(KernelFlows::ALL.map(KernelFlows::label).to_vec()));
     section.finish();
     let default = Datapath::default();
     let busy_poll = busy_poll.duration(Duration::ZERO..=MOST_BUSY_POLL);
     Datapath {
         receive_buffer: receive_buffer.integer(4096..=1 << 30).unwrap_or(default.receive_buffer),
         prefilter: prefilter.parse().unwrap_or(default.prefilter),
+        kernel: kernel.parse().unwrap_or(default.kernel),
         busy_poll: busy_poll.unwrap_or(default.busy_poll),
     }
 }

@@ -86,6 +86,7 @@ fn what_is_of_another_kind_is_wrong() {
         ("nodes = [\"1-4\", 33]", "nodes = [\"1-4\", 126]", "126 is not valid"),
         ("nodes = [\"1-4\", 33]", "nodes = []", "[]"),
         ("prefilter = \"auto\"", "prefilter = \"on\"", "'on' is not one of"),
+        ("kernel = \"auto\"", "kernel = \"always\"", "'always' is not one of"),
         ("idle_timeout = \"5m\"", "idle_timeout = 300", "is not of type 'string'"),
         ("enabled = true", "enabled = \"yes\"", "is not of type 'boolean'"),
         ("[[server]]", "[server]", "is not of type 'array'"),

@@ -114,6 +114,13 @@ fn refuses_values_of_the_wrong_kind() {
             "true or false",
         ),
         (
+            "[public]",
+            "[datapath]\nkernel = \"always\"\n[public]",
+            2,
+            "datapath.kernel",
+            "choose \"auto\", \"off\" or \"required\"",
+        ),
+        (
             "[[server.password]]",
             "[server.password]",
             20,

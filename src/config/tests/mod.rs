@@ -195,6 +195,7 @@ wrong_password_interval = "1m"
 [datapath]
 receive_buffer = 65536
 prefilter = "always"
+kernel = "required"
 busy_poll = "20us"
 [log]
 audit_lines = 7
@@ -215,6 +216,7 @@ listen = "[::1]:0"
     let datapath = Datapath {
         receive_buffer: 65_536,
         prefilter: Prefilter::Always,
+        kernel: KernelFlows::Required,
         busy_poll: Duration::from_micros(20),
     };
     assert_eq!((config.datapath, config.log), (datapath, Log { audit_lines: 7 }));

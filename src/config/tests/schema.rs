@@ -42,6 +42,7 @@ fn knows_each_kind_of_value() {
     assert_eq!((&port["minimum"], &port["maximum"]), (&json!(1), &json!(65535)));
     assert_eq!(port["default"], 34379);
     assert_eq!(of("datapath/properties/prefilter")["enum"], json!(["auto", "always", "off"]));
+    assert_eq!(of("datapath/properties/kernel")["enum"], json!(["auto", "off", "required"]));
     assert_eq!(of("runtime/properties/user")["anyOf"].as_array().unwrap().len(), 2);
     let required = &of("udp_range_net/items")["required"];
     assert_eq!(required, &json!(["allow", "name", "nodes", "start_port", "subnet"]));
