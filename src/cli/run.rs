@@ -251,7 +251,7 @@ fn announce(router: &Router, control: Option<&ControlFile>) {
         listen = logging::list(&config.listen),
         nets = config.table.nets().len(),
         public_ports = config.table.mappings().len(),
-        workers = active.counters.len(),
+        workers = active.workers,
         admin = config.admin.as_ref().map(|admin| tracing::field::display(admin.listen)),
         control = control.map(|control| tracing::field::display(control.path().display())),
         "relaying"

@@ -20,8 +20,11 @@ pub struct ActiveConfig {
     pub config: Config,
     /// The rules by which the workers decide.
     pub(in crate::datapath) rules: Rules,
-    /// The counters of each worker. A figure of the relay is the sum over the workers.
+    /// The counters of each worker, and behind them those of the flows in the kernel, if it carries any. A
+    /// figure of the relay is the sum over all.
     pub counters: Vec<Arc<Counters>>,
+    /// The number of workers.
+    pub workers: usize,
     /// What the kernel dropped on the public sockets of each net.
     drops: Vec<Arc<NetDrops>>,
     /// What the kernel dropped on the upstream sockets, which belong to no net.
@@ -35,11 +38,13 @@ impl ActiveConfig {
         config: Config,
         rules: Rules,
         counters: Vec<Arc<Counters>>,
+        workers: usize,
         drops: Vec<Arc<NetDrops>>,
         upstream_drops: Arc<NetDrops>,
         listeners: Vec<Listeners>,
     ) -> Self {
-        Self { config, rules, counters, drops, upstream_drops, listeners: Mutex::new(listeners) }
+        let listeners = Mutex::new(listeners);
+        Self { config, rules, counters, workers, drops, upstream_drops, listeners }
     }
 
     /// Datagrams that the kernel dropped on a net's public sockets.

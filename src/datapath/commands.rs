@@ -7,7 +7,7 @@ use std::time::Instant;
 use tokio::sync::mpsc::Sender;
 
 use crate::config::Datapath;
-use crate::nat::{FlowRecord, Succession, Table};
+use crate::nat::{Counters, FlowRecord, Succession, Table};
 
 use super::socket::public::Listeners;
 
@@ -32,4 +32,6 @@ pub(in crate::datapath) struct WorkerReload {
     pub listeners: Listeners,
     pub upstream_limit: usize,
     pub settings: Datapath,
+    /// The counters of flows in the kernel, where there are any.
+    pub offload: Option<Arc<Counters>>,
 }

@@ -3,11 +3,13 @@
 //! `router` is the control plane: it starts workers, gives them another configuration and tells how
 //! they are. `socket` is a datapath of UDP sockets; the only unsafe code of the program is in
 //! `socket::sys`. `kernel_filter` makes the small programs that the kernel runs on those sockets.
+//! `offload` is a datapath in the kernel, for flows that the core has opened.
 
 mod active_config;
 mod commands;
 mod kernel_filter;
 mod last_reload;
+mod offload;
 mod reload;
 mod router;
 mod socket;
@@ -15,6 +17,7 @@ mod throttlings;
 
 pub use active_config::ActiveConfig;
 pub use last_reload::LastReload;
+pub use offload::{OffloadError, OffloadState};
 pub use reload::{Reloaded, Stopping};
 #[cfg(feature = "cli")]
 pub(crate) use router::descriptors_needed;

@@ -205,15 +205,16 @@ impl Router {
         let transition = Arc::new(Transition::new(&old.rules, &rules, gone));
         let counters: Vec<_> =
             old.counters.iter().map(|worker| Arc::new(worker.followed_by(was, is))).collect();
-        let next = |listeners: &Listeners, counters: &Arc<Counters>| WorkerReload {
+        let next = |listeners: &Listeners, of_worker: &Arc<Counters>| WorkerReload {
             succession: Succession {
                 rules: rules.clone(),
-                counters: Arc::clone(counters),
+                counters: Arc::clone(of_worker),
                 transition: Arc::clone(&transition),
             },
             listeners: listeners.clone(),
             upstream_limit,
             settings: config.datapath.clone(),
+            offload: counters.get(old.workers).cloned(),
         };
         let mut answers = Vec::new();
         for ((worker, listeners), counters) in self.workers.iter().zip(&listeners).zip(&counters) {
@@ -229,9 +230,20 @@ impl Router {
         if config.datapath.receive_buffer != old.config.datapath.receive_buffer {
             resize_buffers(&config, &listeners);
         }
-        let upstream_drops = Arc::clone(&old.upstream_drops);
-        let next =
-            Arc::new(ActiveConfig::new(config, rules, counters, drops, upstream_drops, listeners));
+        if let Ok(offload) = &self.offload {
+            offload.reload(&config, &self.ports);
+            offload.wait_for_programs(); // so that none of them passes what is withdrawn
+        }
+        let (upstream_drops, workers) = (Arc::clone(&old.upstream_drops), old.workers);
+        let next = Arc::new(ActiveConfig::new(
+            config,
+            rules,
+            counters,
+            workers,
+            drops,
+            upstream_drops,
+            listeners,
+        ));
         *self.active.write().unwrap_or_else(PoisonError::into_inner) = next;
         old.retire();
         Ok(flows_closed)

@@ -10,13 +10,14 @@ use std::time::{Duration, Instant};
 use tokio::sync::oneshot;
 use tokio::time::timeout;
 
-use crate::config::Config;
+use crate::config::{Config, KernelFlows};
 use crate::nat::{Chance, Core, Counters, FlowRecord, Rules, Table};
 use crate::thread;
 
 use crate::datapath::active_config::ActiveConfig;
 use crate::datapath::commands::Command;
 use crate::datapath::last_reload::LastReload;
+use crate::datapath::offload::{Carrier, Changes, Offload, OffloadError, OffloadState};
 use crate::datapath::socket::descriptors::{self, Share};
 use crate::datapath::socket::filtered::NetDrops;
 use crate::datapath::socket::handle::Handle;
@@ -41,6 +42,8 @@ pub struct Router {
     audit: Arc<Audit>,
     throttlings: Arc<Throttlings>,
     journal: Journal,
+    /// The flows in the kernel, or why it carries none.
+    pub(in crate::datapath) offload: Result<Arc<Offload>, OffloadError>,
     /// The ports of the upstream sockets.
     pub(in crate::datapath) ports: Arc<Ports>,
     pub(in crate::datapath) workers: Vec<Handle>,
@@ -54,12 +57,16 @@ pub struct Router {
 pub struct Bound {
     router: Router,
     workers: Vec<Worker>,
+    changes: Option<Changes>,
 }
 
 impl Bound {
     /// Starts the workers. They inherit the permissions of the calling thread.
     pub fn start(self) -> Result<Router, StartError> {
-        let Self { mut router, workers } = self;
+        let Self { mut router, workers, changes } = self;
+        if let (Ok(offload), Some(changes)) = (&router.offload, changes) {
+            offload.follow(changes, &router.ports)?;
+        }
         let mut ends = Vec::new();
         for (index, worker) in workers.into_iter().enumerate() {
             let (ending, end) = oneshot::channel::<()>();
@@ -107,20 +114,52 @@ impl Router {
             ports: Arc::clone(&ports),
             drops: Arc::clone(&upstream_drops),
         };
+        let offload = Offload::start(&config, &ports, rules.most_flows(), started);
+        let (offload, changes) = match offload {
+            Ok((offload, changes)) => (Ok(Arc::new(offload)), Some(changes)),
+            Err(error) => (Err(error), None),
+        };
+        if config.datapath.kernel == KernelFlows::Required
+            && let Err(error) = offload
+        {
+            return Err(error.into());
+        }
+        let lender = offload.as_ref().ok().map(|offload| Arc::clone(offload) as _);
+        let in_kernel = lender.map(|lender| Arc::new(Counters::of_offload(&config.table, lender)));
         let (mut handles, mut counters, mut workers) = (Vec::new(), Vec::new(), Vec::new());
         for listeners in &listeners {
             let counter = Arc::new(Counters::new(&config.table));
+            let carrier = offload.as_ref().ok().zip(in_kernel.as_ref());
+            let carrier = carrier
+                .map(|(offload, counters)| Carrier::new(Arc::clone(offload), Arc::clone(counters)));
             let core =
                 Core::new(rules.clone(), Arc::clone(&counter), started, Chance::of_the_system());
-            let (handle, worker) =
-                Handle::build(&config, core, listeners.clone(), plan.upstreams, started, &shared)?;
+            let (handle, worker) = Handle::build(
+                &config,
+                core,
+                listeners.clone(),
+                plan.upstreams,
+                started,
+                &shared,
+                carrier,
+            )?;
             handles.push(handle);
             counters.push(counter);
             workers.push(worker);
         }
-        let active = ActiveConfig::new(config, rules, counters, drops, upstream_drops, listeners);
-        let router = Self { throttlings, ..Self::new(active, audit, ports, handles, started) };
-        Ok(Bound { router, workers })
+        counters.extend(in_kernel);
+        let active = ActiveConfig::new(
+            config,
+            rules,
+            counters,
+            handles.len(),
+            drops,
+            upstream_drops,
+            listeners,
+        );
+        let router = Self::new(active, audit, ports, handles, started);
+        let router = Self { throttlings, offload, ..router };
+        Ok(Bound { router, workers, changes })
     }
 
     fn new(
@@ -138,6 +177,7 @@ impl Router {
             audit,
             throttlings: Arc::default(),
             journal,
+            offload: Err(OffloadError::Off),
             ports,
             workers,
             ends: Mutex::default(),
@@ -149,12 +189,15 @@ impl Router {
     /// A router without sockets and threads, to test the code that asks a router for figures.
     #[cfg(test)]
     pub(crate) fn idle(config: Config, workers: usize) -> Arc<Self> {
-        let counters = (0..workers).map(|_| Arc::new(Counters::new(&config.table))).collect();
+        let counters: Vec<_> =
+            (0..workers).map(|_| Arc::new(Counters::new(&config.table))).collect();
         let drops = config.table.nets().iter().map(|_| Arc::default()).collect();
         let audit = Arc::new(Audit::new(config.log.audit_lines));
         let ports = Arc::new(Ports::new(&config));
         let rules = Rules::new(Arc::clone(&config.table), config.limits);
-        let active = ActiveConfig::new(config, rules, counters, drops, Arc::default(), Vec::new());
+        let (drops, upstream_drops) = (drops, Arc::default());
+        let active =
+            ActiveConfig::new(config, rules, counters, workers, drops, upstream_drops, Vec::new());
         Arc::new(Self::new(active, audit, ports, Vec::new(), Instant::now()))
     }
 
@@ -197,6 +240,14 @@ impl Router {
     /// The last events, and the figures of the last day.
     pub fn journal(&self) -> &Journal {
         &self.journal
+    }
+
+    /// Whether the kernel carries flows.
+    pub fn offload(&self) -> OffloadState {
+        match &self.offload {
+            Ok(offload) => offload.state(),
+            Err(why) => OffloadState { why_not: Some(why.to_string()), ..OffloadState::default() },
+        }
     }
 
     /// Whether every socket is bound and no shutdown has begun.

@@ -5,7 +5,9 @@
 //! dropped, when no datagram is under way.
 
 use std::collections::HashMap;
+use std::fmt;
 use std::hash::Hash;
+use std::mem::offset_of;
 use std::net::IpAddr;
 use std::sync::Arc;
 
@@ -13,6 +15,7 @@ use super::counter::{Counter, Writer};
 use super::ids::{MappingId, NetId};
 use super::last_sender::LastSender;
 use super::net::Net;
+use super::offload::{Held, Lent};
 use super::reason::{CloseReason, Direction, DropReason};
 use super::refusals::{Refusals, net_key};
 use super::response_times::ResponseTimes;
@@ -82,10 +85,70 @@ impl NodeCounters {
         self.unanswered_since.set(writer, 0);
     }
 
+    /// Sets everything to 0.
+    pub(crate) fn clear(&self, writer: &Writer) {
+        for direction in &self.directions {
+            let DirectionCounters { received, forwarded, forwarded_bytes, dropped } = direction;
+            let all = [received, forwarded, forwarded_bytes].into_iter().chain(dropped);
+            all.for_each(|counter| counter.set(writer, 0));
+        }
+        self.response_times.clear(writer);
+        let Self { last_response, last_request, unanswered_since, .. } = self;
+        let times = [last_response, last_request, unanswered_since];
+        times.iter().for_each(|time| time.set(writer, 0));
+    }
+
     /// The counters of one direction.
     pub fn direction(&self, direction: Direction) -> &DirectionCounters {
         &self.directions[direction as usize]
     }
+}
+
+/// Where a program in the kernel finds the counters of one node.
+pub(crate) struct NodeLayout {
+    pub directions: [DirectionLayout; Direction::ALL.len()],
+    pub last_response: usize,
+    pub last_request: usize,
+    pub unanswered_since: usize,
+    pub response_times: usize,
+}
+
+/// The same for one direction.
+#[derive(Clone, Copy)]
+pub(crate) struct DirectionLayout {
+    pub received: usize,
+    pub forwarded: usize,
+    pub forwarded_bytes: usize,
+}
+
+pub(crate) const NODE_LAYOUT: NodeLayout = {
+    let mut directions =
+        [DirectionLayout { received: 0, forwarded: 0, forwarded_bytes: 0 }; Direction::ALL.len()];
+    let mut index = 0;
+    while index < directions.len() {
+        let begin = offset_of!(NodeCounters, directions) + index * size_of::<DirectionCounters>();
+        directions[index] = DirectionLayout {
+            received: begin + offset_of!(DirectionCounters, received),
+            forwarded: begin + offset_of!(DirectionCounters, forwarded),
+            forwarded_bytes: begin + offset_of!(DirectionCounters, forwarded_bytes),
+        };
+        index += 1;
+    }
+    NodeLayout {
+        directions,
+        last_response: offset_of!(NodeCounters, last_response),
+        last_request: offset_of!(NodeCounters, last_request),
+        unanswered_since: offset_of!(NodeCounters, unanswered_since),
+        response_times: offset_of!(NodeCounters, response_times),
+    }
+};
+
+/// Who lends the counters that a faster datapath writes to.
+pub trait SharedCounters: fmt::Debug + Send + Sync {
+    /// Counters of a node, all 0; none when no place is left.
+    fn node(&self) -> Option<Lent<NodeCounters>>;
+    /// A counter of a credential, at 0; none when no place is left.
+    fn credential(&self) -> Option<Lent<Counter>>;
 }
 
 /// What is counted for one net.
@@ -139,9 +202,11 @@ impl NetCounters {
 /// All counters of one worker, laid out like the [`Table`] they belong to.
 #[derive(Debug)]
 pub struct Counters {
-    nodes: Box<[Arc<NodeCounters>]>,
+    nodes: Box<[Held<NodeCounters>]>,
     nets: Box<[Arc<NetCounters>]>,
-    accepted: Box<[Box<[Arc<Counter>]>]>,
+    accepted: Box<[Box<[Held<Counter>]>]>,
+    /// Where counters for new nodes and credentials come from, in those of a faster datapath.
+    shared: Option<Arc<dyn SharedCounters>>,
     /// What names each net in `refusals`.
     net_keys: Box<[u64]>,
     /// Who was refused of late.
@@ -153,11 +218,22 @@ pub struct Counters {
 impl Counters {
     /// Counters for this table, all 0.
     pub fn new(table: &Table) -> Self {
-        let accepted = |net: &Net| net.credentials.iter().map(|_| Arc::default()).collect();
+        Self::with(table, None)
+    }
+
+    /// Counters of a faster datapath for this table, all 0.
+    pub fn of_offload(table: &Table, shared: Arc<dyn SharedCounters>) -> Self {
+        Self::with(table, Some(shared))
+    }
+
+    fn with(table: &Table, shared: Option<Arc<dyn SharedCounters>>) -> Self {
+        let lender = shared.as_deref();
+        let accepted = |net: &Net| net.credentials.iter().map(|_| new_credential(lender)).collect();
         Self {
-            nodes: table.mappings().iter().map(|_| Arc::default()).collect(),
+            nodes: table.mappings().iter().map(|_| new_node(lender)).collect(),
             nets: table.nets().iter().map(|_| Arc::default()).collect(),
             accepted: table.nets().iter().map(accepted).collect(),
+            shared: shared.clone(),
             net_keys: net_keys(table),
             refusals: Arc::default(),
             stray: Arc::default(),
@@ -176,12 +252,18 @@ impl Counters {
             .flat_map(|(net, accepted)| credential_names(net).zip(accepted))
             .collect();
         let nodes: HashMap<_, _> = old.node_names().zip(&self.nodes).collect();
-        let of_net =
-            |net: &Net| credential_names(net).map(|name| known(&accepted, &name)).collect();
+        let lender = self.shared.as_deref();
+        let of_net = |net: &Net| {
+            let credential = |name| known(&accepted, &name, || new_credential(lender));
+            credential_names(net).map(credential).collect()
+        };
+        let node = |name| known(&nodes, &name, || new_node(lender));
+        let net = |net: &Net| known(&nets, &&net.name, Arc::default);
         Self {
-            nodes: new.node_names().map(|name| known(&nodes, &name)).collect(),
-            nets: new.nets().iter().map(|net| known(&nets, &&net.name)).collect(),
+            nodes: new.node_names().map(node).collect(),
+            nets: new.nets().iter().map(net).collect(),
             accepted: new.nets().iter().map(of_net).collect(),
+            shared: self.shared.clone(),
             net_keys: net_keys(new),
             refusals: Arc::clone(&self.refusals),
             stray: Arc::clone(&self.stray),
@@ -204,8 +286,14 @@ impl Counters {
         self.net_keys[usize::from(net.0)]
     }
 
+    /// Where a faster datapath counts a mapping's node and a credential of its net; none where it cannot.
+    pub fn places(&self, mapping: MappingId, net: NetId, credential: u16) -> Option<[u32; 2]> {
+        let node = self.nodes[mapping.0 as usize].place()?;
+        Some([node, self.accepted(net)[usize::from(credential)].place()?])
+    }
+
     /// Requests that a net accepted, for each of its credentials in their order.
-    pub fn accepted(&self, net: NetId) -> &[Arc<Counter>] {
+    pub fn accepted(&self, net: NetId) -> &[Held<Counter>] {
         &self.accepted[usize::from(net.0)]
     }
 }
@@ -220,6 +308,18 @@ fn credential_names(net: &Net) -> impl Iterator<Item = (&str, &str)> {
 }
 
 /// The counters with this name, or new ones.
-fn known<K: Eq + Hash, T: Default>(counters: &HashMap<K, &Arc<T>>, name: &K) -> Arc<T> {
-    counters.get(name).map_or_else(Arc::default, |counters| Arc::clone(counters))
+fn known<K: Eq + Hash, T: Clone>(counters: &HashMap<K, &T>, name: &K, new: impl Fn() -> T) -> T {
+    counters.get(name).map_or_else(new, |counters| T::clone(counters))
+}
+
+fn new_node(lender: Option<&dyn SharedCounters>) -> Held<NodeCounters> {
+    held(lender.and_then(SharedCounters::node))
+}
+
+fn new_credential(lender: Option<&dyn SharedCounters>) -> Held<Counter> {
+    held(lender.and_then(SharedCounters::credential))
+}
+
+fn held<T: Default>(lent: Option<Lent<T>>) -> Held<T> {
+    lent.map_or_else(Held::default, |lent| Held::Lent(Arc::new(lent)))
 }

@@ -4,6 +4,7 @@ use std::net::{IpAddr, SocketAddr};
 
 use super::flow::FlowRecord;
 use super::ids::{ListenerId, MappingId, NetId, UpstreamId};
+use super::offload::{Lent, Offer, SharedFlow};
 use super::reason::CloseReason;
 use super::table::Table;
 use super::throttled::Throttled;
@@ -49,6 +50,16 @@ pub trait Effects {
     ) -> bool {
         true
     }
+
+    /// Has a faster datapath carry a flow of this table, too, if there is one and it can. Until the flow is
+    /// recalled, what passes is counted where the return value leads to. By default, there is none.
+    fn offload(&mut self, _table: &Table, _offer: &Offer<'_>) -> Option<Lent<SharedFlow>> {
+        None
+    }
+
+    /// Has the faster datapath let go of the flow with this place. Once this returns, it takes up no datagram
+    /// of the flow any more.
+    fn recall(&mut self, _place: u32) {}
 
     /// A flow of this table was opened (N-10).
     fn flow_opened(&mut self, _table: &Table, _flow: &FlowRecord) {}

@@ -1,15 +1,17 @@
 //! A flow: one client's address and port in exchange with one server node.
 
 use std::net::{IpAddr, SocketAddr};
+use std::sync::atomic::Ordering::Relaxed;
 use std::time::Duration;
 
 use super::ids::{ListenerId, MappingId, UpstreamId};
+use super::offload::{Lent, SharedFlow};
 use super::protocol::Conversation;
 use super::time::Nanos;
 
 /// A request without an answer for longer than this counts as lost. Its answer is not due any more,
 /// and the next response time is measured from a later request.
-const LOST_AFTER: Nanos = 10_000_000_000;
+pub(super) const LOST_AFTER: Nanos = 10_000_000_000;
 
 /// What a request finds its flow by: the client's address and port, and the router's.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -37,10 +39,13 @@ pub(super) struct Flow {
     /// When the client was last noted as a known one; 0: never.
     pub noted: Nanos,
     pub opened: Nanos,
-    /// When the last datagram passed, in either direction (RFC 4787 REQ-6).
-    pub last_used: Nanos,
+    /// When the last datagram passed, in either direction, without those of a faster datapath; see
+    /// [`last_used`](Self::last_used).
+    pub used: Nanos,
     pub answers: Answers,
+    /// Without what a faster datapath has carried.
     pub traffic: FlowTraffic,
+    pub offload: Offload,
     /// What its protocol has to remember of it.
     pub conversation: Conversation,
     /// The number of the reload whose rules it stands under.
@@ -52,6 +57,16 @@ pub(super) struct Flow {
     pub left: Nanos,
 }
 
+/// Whether a faster datapath carries a flow too.
+#[derive(Debug)]
+pub(super) enum Offload {
+    /// It may be offered.
+    Open,
+    /// It stays here until the next reload.
+    Declined,
+    Carried(Lent<SharedFlow>),
+}
+
 /// The answers that a flow waits for.
 ///
 /// An answer does not say which request it belongs to, and a lost answer looks like a late one. So
@@ -59,13 +74,17 @@ pub(super) struct Flow {
 /// are due is never too low.
 #[derive(Debug, Default)]
 pub(super) struct Answers {
-    /// When the oldest request without an answer was sent; 0: there is none.
+    /// When the oldest request without an answer was sent; 0: there is none. While a faster datapath
+    /// carries the flow, this stands in [`SharedFlow::unanswered`].
     unanswered: Nanos,
-    /// Answers due to requests of the last `LOST_AFTER`, which began at `newer_since`.
-    newer: u32,
-    newer_since: Nanos,
-    /// Answers due to requests of the `LOST_AFTER` before that.
-    older: u32,
+    /// Requests that want an answer.
+    asked: u64,
+    /// Answers, and requests that are given up.
+    answered: u64,
+    /// The number of requests before the time `noted`, which is at least `LOST_AFTER` after the time
+    /// when the number before it was noted.
+    asked_before: u64,
+    noted: Nanos,
 }
 
 /// What has passed through a flow.
@@ -112,29 +131,51 @@ impl FlowTraffic {
         self.responses += 1;
         self.octets += octets as u64;
     }
+
+    fn add(&mut self, other: Self) {
+        self.requests += other.requests;
+        self.responses += other.responses;
+        self.octets += other.octets;
+    }
+}
+
+impl Offload {
+    /// What a faster datapath has carried.
+    #[inline]
+    pub(super) fn shared(&self) -> Option<&SharedFlow> {
+        match self {
+            Self::Open | Self::Declined => None,
+            Self::Carried(shared) => Some(shared),
+        }
+    }
 }
 
 impl Answers {
-    /// Notes a request that wants an answer.
-    pub(super) fn asked(&mut self, now: Nanos) {
-        let age = now - self.newer_since;
-        if age >= 2 * LOST_AFTER {
-            (self.older, self.newer, self.newer_since) = (0, 0, now);
-        } else if age >= LOST_AFTER {
-            self.older = std::mem::take(&mut self.newer);
-            self.newer_since += LOST_AFTER;
+    /// Notes a request that wants an answer. `shared` is what a faster datapath has carried.
+    pub(super) fn asked(&mut self, now: Nanos, shared: Option<&SharedFlow>) {
+        let age = now.saturating_sub(self.noted);
+        if age >= LOST_AFTER {
+            let so_far = self.asked + shared.map_or(0, |shared| shared.traffic().requests);
+            let before = if age >= 2 * LOST_AFTER { so_far } else { self.asked_before };
+            let answered = self.answered + shared.map_or(0, |shared| shared.traffic().responses);
+            self.answered += before.saturating_sub(answered);
+            (self.asked_before, self.noted) = (so_far, now);
         }
-        self.newer = self.newer.saturating_add(1);
-        if self.unanswered == 0 || now - self.unanswered >= LOST_AFTER {
-            self.unanswered = now;
+        self.asked += 1;
+        match shared {
+            Some(shared) => shared.asked(now),
+            None if self.unanswered == 0 || now - self.unanswered >= LOST_AFTER => {
+                self.unanswered = now;
+            }
+            None => {}
         }
     }
 
     /// Notes an answer. Returns how long the oldest request without one has waited for it.
-    pub(super) fn came(&mut self, now: Nanos) -> Option<Duration> {
-        match self.older {
-            0 => self.newer = self.newer.saturating_sub(1),
-            _ => self.older -= 1,
+    pub(super) fn came(&mut self, now: Nanos, shared: Option<&SharedFlow>) -> Option<Duration> {
+        self.answered += u64::from(self.due(shared) > 0);
+        if let Some(shared) = shared {
+            return shared.came(now);
         }
         match std::mem::take(&mut self.unanswered) {
             0 => None,
@@ -143,8 +184,10 @@ impl Answers {
     }
 
     /// How many answers may still come, or more.
-    fn due(&self) -> u64 {
-        u64::from(self.older) + u64::from(self.newer)
+    fn due(&self, shared: Option<&SharedFlow>) -> u64 {
+        let FlowTraffic { requests, responses, .. } =
+            shared.map(SharedFlow::traffic).unwrap_or_default();
+        (self.asked + requests).saturating_sub(self.answered + responses)
     }
 }
 
@@ -179,7 +222,50 @@ impl Flow {
 
     /// Whether an answer may still come.
     pub(super) fn awaits_answers(&self, now: Nanos) -> bool {
-        self.answers.due() > 0 && now - self.last_used < LOST_AFTER
+        let idle = now.saturating_sub(self.last_used());
+        self.answers.due(self.offload.shared()) > 0 && idle < LOST_AFTER
+    }
+
+    /// When the last datagram passed, in either direction (RFC 4787 REQ-6).
+    #[inline]
+    pub(super) fn last_used(&self) -> Nanos {
+        self.used.max(self.offload.shared().map_or(0, SharedFlow::last_used))
+    }
+
+    /// Notes a request that wants an answer.
+    #[inline]
+    pub(super) fn note_request(&mut self, now: Nanos) {
+        self.answers.asked(now, self.offload.shared());
+    }
+
+    /// Notes an answer. Returns how long the oldest request without one has waited for it.
+    #[inline]
+    pub(super) fn note_answer(&mut self, now: Nanos) -> Option<Duration> {
+        self.answers.came(now, self.offload.shared())
+    }
+
+    /// From now on a faster datapath carries the flow, too.
+    pub(super) fn carried_by(&mut self, shared: Lent<SharedFlow>) {
+        shared.begin(std::mem::take(&mut self.answers.unanswered));
+        self.offload = Offload::Carried(shared);
+    }
+
+    /// From now on it does not any more. Takes over what it has counted.
+    pub(super) fn carried_no_more(&mut self) {
+        self.used = self.last_used();
+        let before = std::mem::replace(&mut self.offload, Offload::Open);
+        let Some(shared) = before.shared() else { return };
+        let passed = shared.traffic();
+        self.traffic.add(passed);
+        self.answers.asked += passed.requests;
+        self.answers.answered += passed.responses;
+        self.answers.unanswered = shared.unanswered.load(Relaxed);
+    }
+
+    fn traffic(&self) -> FlowTraffic {
+        let mut traffic = self.traffic;
+        traffic.add(self.offload.shared().map(SharedFlow::traffic).unwrap_or_default());
+        traffic
     }
 
     pub(super) fn record(&self, now: Nanos) -> FlowRecord {
@@ -190,8 +276,8 @@ impl Flow {
             credential: self.credential.map(usize::from),
             upstream_port: self.upstream_port,
             age: Duration::from_nanos(now - self.opened),
-            idle: Duration::from_nanos(now - self.last_used),
-            traffic: self.traffic,
+            idle: Duration::from_nanos(now.saturating_sub(self.last_used())),
+            traffic: self.traffic(),
         }
     }
 }
@@ -235,20 +321,20 @@ mod tests {
                 under_way.retain(|&at| now - at < LOST_AFTER);
                 match event {
                     Event::Asked => {
-                        answers.asked(now);
+                        answers.asked(now, None);
                         under_way.push(now);
                         asked.push(now);
                     }
                     Event::Came(_) if under_way.is_empty() => {}
                     Event::Came(index) => {
                         under_way.remove(index.index(under_way.len()));
-                        answers.came(now);
+                        answers.came(now, None);
                     }
                 }
-                prop_assert!(answers.due() >= under_way.len() as u64, "{answers:?} {under_way:?}");
-                let newest = asked.iter().filter(|&&at| now - at < 3 * LOST_AFTER).count();
+                prop_assert!(answers.due(None) >= under_way.len() as u64, "{answers:?} {under_way:?}");
+                let newest = asked.iter().filter(|&&at| now - at < 4 * LOST_AFTER).count();
                 let idle = asked.last().is_none_or(|&at| now - at >= LOST_AFTER);
-                prop_assert!(idle || answers.due() <= newest as u64, "bounded");
+                prop_assert!(idle || answers.due(None) <= newest as u64, "bounded");
             }
         }
     }
@@ -257,9 +343,9 @@ mod tests {
     fn an_answer_is_that_to_an_old_request_as_long_as_there_is_one() {
         let mut answers = Answers::default();
         for asked in [1, 10 * SECOND - 10_000_000, 10 * SECOND + 1] {
-            answers.asked(asked);
+            answers.asked(asked, None);
         }
-        answers.came(10 * SECOND + 10_000_000);
-        assert!(answers.due() >= 1, "{answers:?}: two were asked within the last second");
+        answers.came(10 * SECOND + 10_000_000, None);
+        assert!(answers.due(None) >= 1, "{answers:?}: two were asked within the last second");
     }
 }

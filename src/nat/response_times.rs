@@ -5,6 +5,7 @@
 //! also when the buckets of many nodes are added up. Every bound of [`RESPONSE_BUCKETS`], the
 //! buckets for Prometheus, is a bound here too. A node takes 3.9 KB for each worker.
 
+use std::mem::offset_of;
 use std::time::Duration;
 
 use super::counter::{Counter, Writer};
@@ -49,6 +50,24 @@ const fn bound_after(bound: u64) -> u64 {
     next
 }
 
+/// Where a program in the kernel finds the parts of [`ResponseTimes`], and how it finds the bucket of a time:
+/// those up to 0.1 ms have the same width, and after them each decade has so many.
+pub(crate) struct ResponseLayout {
+    pub answers: usize,
+    pub sum_nanos: usize,
+    pub linear: i32,
+    pub of_decade: i32,
+    pub last: i32,
+}
+
+pub(crate) const RESPONSE_LAYOUT: ResponseLayout = ResponseLayout {
+    answers: offset_of!(ResponseTimes, answers),
+    sum_nanos: offset_of!(ResponseTimes, sum_nanos),
+    linear: (LINEAR_UP_TO / LINEAR_STEP) as i32,
+    of_decade: BOUNDS_OF_DECADE as i32,
+    last: FINE_BUCKETS as i32 - 1,
+};
+
 /// Buckets of one node.
 pub const FINE_BUCKETS: usize = FINE_BOUNDS.len() + 1;
 
@@ -72,6 +91,12 @@ impl ResponseTimes {
         let nanos = u64::try_from(elapsed.as_nanos()).unwrap_or(u64::MAX).max(1);
         self.answers[Self::bucket(nanos)].add(writer, 1);
         self.sum_nanos.add(writer, nanos);
+    }
+
+    /// Sets everything to 0.
+    pub(super) fn clear(&self, writer: &Writer) {
+        let all = self.answers.iter().chain([&self.sum_nanos]);
+        all.for_each(|counter| counter.set(writer, 0));
     }
 
     /// The bucket of a time in nanoseconds.

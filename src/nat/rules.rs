@@ -28,7 +28,7 @@ impl Rules {
     }
 
     /// Flows that may be open at once.
-    pub(super) fn most_flows(&self) -> usize {
+    pub(crate) fn most_flows(&self) -> usize {
         let of_nets = self.table.nets().iter().map(|net| net.max_flows as usize).sum();
         (self.limits.max_flows as usize).min(of_nets)
     }

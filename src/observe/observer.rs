@@ -52,7 +52,7 @@ impl Observer {
             env!("CARGO_PKG_VERSION"),
             table.nets().len(),
             table.mappings().len(),
-            active.counters.len(),
+            active.workers,
         );
         router.journal().note(EventKind::Start, text);
         Self {

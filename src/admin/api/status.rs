@@ -113,7 +113,7 @@ impl<'a> Status<'a> {
             ready: shared.router.is_ready(),
             uptime_seconds: shared.router.started().elapsed().as_secs_f64(),
             reload: ReloadState::of(last_reload),
-            workers: active.counters.len(),
+            workers: active.workers,
             public_ports: table.mappings().len(),
             max_flows: limits.max_flows,
             wrong_password_sources: totals::wrong_password_sources(&active.counters, table),

@@ -4,12 +4,13 @@
 use std::net::{IpAddr, SocketAddr};
 use std::sync::Arc;
 
+use crate::datapath::offload::Carrier;
 use crate::datapath::throttlings::Throttlings;
 use crate::logging::audit::Audit;
 use crate::logging::warnings::RateLimitedWarnings;
 use crate::nat::{
-    CloseReason, Effects, FlowRecord, ListenerId, MappingId, NetId, SocketKind, Table, Throttled,
-    UpstreamId,
+    CloseReason, Effects, FlowRecord, Lent, ListenerId, MappingId, NetId, Offer, SharedFlow,
+    SocketKind, Table, Throttled, UpstreamId,
 };
 
 use super::public::Listeners;
@@ -26,6 +27,8 @@ pub(super) struct WorkerEffects {
     pub audit: Arc<Audit>,
     pub throttlings: Arc<Throttlings>,
     pub warnings: RateLimitedWarnings,
+    /// Has the kernel carry flows, where it does.
+    pub carrier: Option<Carrier>,
 }
 
 impl Effects for WorkerEffects {
@@ -65,6 +68,16 @@ impl Effects for WorkerEffects {
     ) -> bool {
         let listener = self.public.get(listener);
         listener.is_none_or(|listener| way_back::exists(listener, public_address, client))
+    }
+
+    fn offload(&mut self, _: &Table, offer: &Offer<'_>) -> Option<Lent<SharedFlow>> {
+        self.carrier.as_mut()?.carry(offer, self.upstream.ports())
+    }
+
+    fn recall(&mut self, place: u32) {
+        if let Some(carrier) = &mut self.carrier {
+            carrier.let_go(place);
+        }
     }
 
     fn flow_opened(&mut self, table: &Table, flow: &FlowRecord) {

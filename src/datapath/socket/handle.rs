@@ -10,6 +10,7 @@ use nix::sys::eventfd::{EfdFlags, EventFd};
 
 use crate::config::Config;
 use crate::datapath::commands::Command;
+use crate::datapath::offload::Carrier;
 use crate::nat::{Core, ListenerId};
 
 use super::event_key::EventKey;
@@ -34,6 +35,7 @@ impl Handle {
         upstream_limit: usize,
         started: Instant,
         shared: &Shared,
+        carrier: Option<Carrier>,
     ) -> Result<(Self, Worker), StartError> {
         let epoll = Epoll::new(EpollCreateFlags::EPOLL_CLOEXEC).map_err(io::Error::from)?;
         let flags = EfdFlags::EFD_NONBLOCK | EfdFlags::EFD_CLOEXEC;
@@ -49,6 +51,7 @@ impl Handle {
             shared: shared.clone(),
             upstream_limit,
             settings: config.datapath.clone(),
+            carrier,
             started,
             commands: inbox,
             epoll: Arc::clone(&handle.epoll),

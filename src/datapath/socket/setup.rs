@@ -12,6 +12,7 @@ use crate::config::{Config, NotInForce, Prefilter, runs};
 use crate::nat::{ListenerId, MappingId};
 use crate::thread::ThreadError;
 
+use crate::datapath::offload::OffloadError;
 use crate::datapath::socket::descriptors::{Share, TooFewDescriptors};
 use crate::datapath::socket::filtered::{FilteredSocket, NetDrops};
 use crate::datapath::socket::port_pool::Ports;
@@ -34,6 +35,9 @@ pub enum StartError {
     /// The system has no thread left for a worker.
     #[error(transparent)]
     Thread(#[from] ThreadError),
+    /// The kernel does not carry flows, and the configuration requires it.
+    #[error("the kernel cannot carry flows, and [datapath] kernel is \"required\"")]
+    Offload(#[from] OffloadError),
     /// Another error of the system, not about one address.
     #[error("cannot start a worker")]
     Worker(#[from] io::Error),
@@ -43,7 +47,7 @@ impl StartError {
     /// Whether the error may pass by itself, so that another try may succeed.
     pub fn may_pass(&self) -> bool {
         match self {
-            Self::Descriptors(_) => false,
+            Self::Descriptors(_) | Self::Offload(_) => false,
             Self::Listen(error) => error.may_pass(),
             Self::Thread(_) => true,
             Self::Watch(error) | Self::Worker(error) => listen::may_pass(error),

@@ -26,7 +26,7 @@ impl Core {
             assert_eq!(found == Some(id), flow.left == 0, "a request finds its flow");
             let found = self.flows.of_response(flow.upstream, flow.server);
             assert_eq!(found, Some(id), "an answer finds its flow");
-            assert!(flow.opened <= flow.last_used && flow.last_used <= now);
+            assert!(flow.opened <= flow.last_used() && flow.last_used() <= now);
             *by_net.entry(&table.net(mapping.net).name).or_default() += u64::from(flow.left == 0);
         }
         let table = &self.rules.table;

@@ -8,7 +8,7 @@ use std::time::Instant;
 
 use super::{AT_ONCE, Arrival, Core};
 use crate::nat::effects::Effects;
-use crate::nat::flow::{Answers, Flow, FlowTraffic};
+use crate::nat::flow::{Answers, Flow, FlowTraffic, Offload};
 use crate::nat::ids::FlowId;
 use crate::nat::protocol::Conversation;
 use crate::nat::reason::{CloseReason, DropReason};
@@ -60,9 +60,10 @@ impl Core {
             earlier_credentials: Box::default(),
             noted: 0,
             opened: now,
-            last_used: now,
+            used: now,
             answers: Answers::default(),
             traffic: FlowTraffic::default(),
+            offload: Offload::Open,
             conversation: Conversation::of(self.rules.table.net(mapping.net).kind),
             era: self.era,
             paid_until: 0,
@@ -106,7 +107,7 @@ impl Core {
     pub(super) fn idle_at(&self, id: FlowId) -> Nanos {
         let (flow, table) = (self.flows.get(id), &self.rules.table);
         let time_out = table.net(table.mapping(flow.mapping).net).idle_timeout.as_nanos();
-        flow.last_used.saturating_add(Nanos::try_from(time_out).unwrap_or(Nanos::MAX))
+        flow.last_used().saturating_add(Nanos::try_from(time_out).unwrap_or(Nanos::MAX))
     }
 
     pub(super) fn close(
@@ -116,6 +117,7 @@ impl Core {
         now: Nanos,
         effects: &mut impl Effects,
     ) {
+        self.recall(id, effects);
         self.wheel.remove(id);
         let flow = self.flows.remove(id);
         self.upstreams.release(flow.upstream, flow.server, now);
@@ -129,6 +131,7 @@ impl Core {
     /// Closes a flow for its client, whose next request opens another one. Answers to earlier
     /// requests still pass.
     pub(super) fn leave(&mut self, id: FlowId, now: Nanos, effects: &mut impl Effects) {
+        self.recall(id, effects);
         self.flows.leave(id);
         self.note_closed(self.flows.get(id), CloseReason::PortWanted, now, effects);
         self.flows.get_mut(id).left = now;

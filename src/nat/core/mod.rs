@@ -10,6 +10,7 @@ mod arrival;
 #[cfg(test)]
 mod invariants;
 mod lifecycle;
+mod offload;
 mod reload;
 mod request;
 mod response;
@@ -115,7 +116,7 @@ impl Core {
         if let Some(id) = asks {
             node.asked(&self.writer, now);
             if let Some(flow) = self.flows.find_mut(id) {
-                flow.answers.asked(now);
+                flow.note_request(now);
             }
         }
     }

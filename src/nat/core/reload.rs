@@ -9,10 +9,11 @@ use std::mem;
 use std::sync::Arc;
 use std::time::Instant;
 
+use super::offload::kept_terms;
 use super::{AT_ONCE, Core};
 use crate::nat::counters::Counters;
 use crate::nat::effects::Effects;
-use crate::nat::flow::{Flow, FlowRecord};
+use crate::nat::flow::{Flow, FlowRecord, Offload};
 use crate::nat::ids::FlowId;
 use crate::nat::reason::CloseReason;
 use crate::nat::rules::Rules;
@@ -46,6 +47,8 @@ pub(in crate::nat) struct GoingOver {
     closed: usize,
     /// Flows that have gone over, on sockets that are about to be closed.
     leaving: Vec<FlowId>,
+    /// Flows that have gone over, and that a faster datapath may not carry as it does.
+    recalled: Vec<FlowId>,
 }
 
 impl Core {
@@ -65,6 +68,7 @@ impl Core {
             left: self.flows.len(),
             closed: 0,
             leaving: Vec::new(),
+            recalled: Vec::new(),
         });
         // A public port is given; an upstream socket can be on any other port.
         let mut wanted = vec![false; 1 << 16];
@@ -81,6 +85,12 @@ impl Core {
         for _ in 0..AT_ONCE {
             let going_over = self.going_over.as_mut()?;
             if going_over.left == 0 {
+                if let Some(id) = going_over.recalled.pop() {
+                    if self.flows.contains(id) {
+                        self.recall(id, effects);
+                    }
+                    continue;
+                }
                 if let Some(id) = going_over.leaving.pop() {
                     let flow = self.flows.find(id);
                     if flow.is_some_and(|flow| self.upstreams.is_leaving(flow.upstream)) {
@@ -129,6 +139,7 @@ impl Core {
         if flow.left == 0 && self.upstreams.is_leaving(flow.upstream) {
             going_over.leaving.push(id);
         }
+        let terms = kept_terms(flow, old);
         let was = old.net(old.mapping(flow.mapping).net).idle_timeout;
         let is = new.net(new.mapping(place.mapping).net).idle_timeout;
         let net = old.mapping(flow.mapping).net;
@@ -139,6 +150,13 @@ impl Core {
         flow.credential = place.credential;
         flow.era = self.era;
         going_over.left -= 1;
+        match flow.offload {
+            Offload::Carried(_) if terms.is_none() || kept_terms(flow, new) != terms => {
+                going_over.recalled.push(id);
+            }
+            Offload::Declined => flow.offload = Offload::Open,
+            Offload::Carried(_) | Offload::Open => {}
+        }
         if is < was {
             let idle_at = self.idle_at(id);
             self.wheel.file(id, idle_at);

@@ -5,6 +5,7 @@ use std::time::Instant;
 
 use super::{Arrival, Core};
 use crate::nat::effects::Effects;
+use crate::nat::flow::Offload;
 use crate::nat::ids::{FlowId, NetId, UpstreamId};
 use crate::nat::payload::Payload;
 use crate::nat::protocol::{self, Request};
@@ -85,9 +86,17 @@ impl Core {
             None => self.open(now, arrival, credential, effects)?,
         };
         let flow = self.flows.get_mut(id);
+        match flow.offload {
+            Offload::Carried(_) if flow.credential != credential => self.recall(id, effects),
+            Offload::Open if open.is_some() && flow.credential == credential => {
+                self.offer(id, effects);
+            }
+            _ => {}
+        }
+        let flow = self.flows.get_mut(id);
         flow.paid_until = paid_until;
         flow.asked_with(credential);
-        flow.last_used = now;
+        flow.used = now;
         let mut server = mapping.server;
         if let Some(port) = request.note(&mut flow.conversation, now) {
             server.set_port(port);

@@ -90,11 +90,11 @@ impl Core {
             None if net.require_response_password => return Err(DropReason::PasswordMismatch),
             None => {}
         }
-        flow.last_used = now; // N-3
+        flow.used = now; // N-3
         flow.traffic.response(payload.len());
         let node = self.counters.node(flow.mapping);
         node.answered(&self.writer, now);
-        if is_answer && let Some(response_time) = flow.answers.came(now) {
+        if is_answer && let Some(response_time) = flow.note_answer(now) {
             node.response_times.observe(&self.writer, response_time);
         }
         Ok(ToClient {

@@ -6,6 +6,10 @@ pub(in crate::datapath) mod address;
 #[allow(unsafe_code)]
 pub(in crate::datapath) mod batch;
 #[allow(unsafe_code)]
+pub(in crate::datapath) mod bpf;
+#[allow(unsafe_code)]
 pub(in crate::datapath) mod epoll_wait;
 #[allow(unsafe_code)]
 pub(in crate::datapath) mod options;
+#[allow(unsafe_code)]
+pub(in crate::datapath) mod shared_memory;

@@ -82,11 +82,20 @@ pub(in crate::datapath) fn is_own(address: SocketAddr, ports: &Arc<Ports>) -> io
     if address.ip().is_loopback() {
         return Ok(true); // any loopback address leads to all others
     }
+    Ok(source_towards(address, ports)? == address.ip())
+}
+
+/// The source address that the kernel picks towards an address. Sends nothing.
+pub(in crate::datapath) fn source_towards(
+    address: SocketAddr,
+    ports: &Arc<Ports>,
+) -> io::Result<IpAddr> {
     let socket = Socket::new(Domain::for_address(address), Type::DGRAM, Some(Protocol::UDP))?;
     let port = ports.bind(&socket, any(address.is_ipv4()))?;
     let (socket, _) = &(socket, port); // closed in this order
     socket.connect(&address.into())?;
-    Ok(socket.local_addr()?.as_socket().is_some_and(|own| own.ip() == address.ip()))
+    let own = socket.local_addr()?.as_socket();
+    own.map(|own| own.ip()).ok_or_else(|| io::ErrorKind::AddrNotAvailable.into())
 }
 
 /// Whether the kernel cuts a message into datagrams when it is asked to (UDP_SEGMENT, since Linux

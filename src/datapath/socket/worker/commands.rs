@@ -36,6 +36,8 @@ impl Worker {
                 Command::CloseLeft(reply) => self.closing = Some(reply),
                 Command::Drain(end) => {
                     self.drain_until = Some(end);
+                    // Requests are not taken any more, and answers go on here.
+                    self.relay.core.recall_all(&mut self.relay.effects);
                     for (_, listener) in self.relay.effects.public.iter() {
                         let _ = self.epoll.delete(&listener.socket);
                     }
@@ -51,10 +53,13 @@ impl Worker {
             self.tidy(now);
         }
         self.flush(now); // what waits is counted under the old table
-        let WorkerReload { succession, listeners, upstream_limit, settings } = next;
+        let WorkerReload { succession, listeners, upstream_limit, settings, offload } = next;
         let before = mem::replace(&mut self.relay.effects.public, listeners);
         let old = Arc::clone(self.relay.core.table());
         self.relay.core.reload(now, succession, &mut self.relay.effects);
+        if let (Some(carrier), Some(counters)) = (&mut self.relay.effects.carrier, offload) {
+            carrier.reload(counters);
+        }
         for (id, was) in before.iter() {
             let is = self.relay.effects.public.get(id);
             if is.is_none_or(|is| !Arc::ptr_eq(&is.drops, &was.drops)) {

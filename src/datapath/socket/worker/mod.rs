@@ -19,6 +19,7 @@ use crate::config::Datapath;
 use crate::nat::{Core, ListenerId, UpstreamId};
 
 use crate::datapath::commands::Command;
+use crate::datapath::offload::Carrier;
 use crate::datapath::socket::busy_poll::BusyPoll;
 use crate::datapath::socket::effects::WorkerEffects;
 use crate::datapath::socket::event_key::EventKey;
@@ -81,6 +82,7 @@ pub(in crate::datapath) struct WorkerSetup {
     pub shared: Shared,
     pub upstream_limit: usize,
     pub settings: Datapath,
+    pub carrier: Option<Carrier>,
     pub started: Instant,
     pub commands: Receiver<Command>,
     pub epoll: Arc<Epoll>,
@@ -89,7 +91,7 @@ pub(in crate::datapath) struct WorkerSetup {
 
 impl Worker {
     pub(in crate::datapath) fn new(setup: WorkerSetup) -> io::Result<Self> {
-        let WorkerSetup { core, listeners, epoll, wake, settings, started, .. } = setup;
+        let WorkerSetup { core, listeners, epoll, wake, settings, carrier, started, .. } = setup;
         let Shared { audit, throttlings, ports, drops } = setup.shared;
         epoll.add(&*wake, EventKey::Wake.arrivals())?;
         let effects = WorkerEffects {
@@ -98,6 +100,7 @@ impl Worker {
             audit,
             throttlings,
             warnings: RateLimitedWarnings::default(),
+            carrier,
         };
         let relay = Relay {
             core,

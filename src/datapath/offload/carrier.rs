@@ -1,0 +1,95 @@
+//! What one worker has the kernel carry.
+
+use std::collections::HashMap;
+use std::net::{IpAddr, SocketAddr, SocketAddrV4};
+use std::os::fd::AsFd;
+use std::sync::Arc;
+
+use super::Offload;
+use super::layout::{Entry, Key};
+use crate::datapath::socket::port_pool::Ports;
+use crate::datapath::socket::sys::{bpf, options};
+use crate::nat::{Counters, Direction, Lent, Offer, SharedFlow};
+
+/// The flows of one worker in the kernel.
+#[derive(Debug)]
+pub(in crate::datapath) struct Carrier {
+    offload: Arc<Offload>,
+    /// Those of the kernel, for the table in force.
+    counters: Arc<Counters>,
+    /// By place, how the datagrams of both directions come in.
+    keys: HashMap<u32, [Key; 2]>,
+}
+
+impl Carrier {
+    pub(in crate::datapath) fn new(offload: Arc<Offload>, counters: Arc<Counters>) -> Self {
+        Self { offload, counters, keys: HashMap::new() }
+    }
+
+    /// Goes over to the counters for another table.
+    pub(in crate::datapath) fn reload(&mut self, counters: Arc<Counters>) {
+        self.counters = counters;
+    }
+
+    /// Has the kernel carry a flow, once a datagram of each direction has shown the way. None where it cannot.
+    pub(in crate::datapath) fn carry(
+        &mut self,
+        offer: &Offer<'_>,
+        ports: &Arc<Ports>,
+    ) -> Option<Lent<SharedFlow>> {
+        let [node, credential] =
+            self.counters.places(offer.mapping, offer.net, offer.credential)?;
+        let client = ipv4(offer.client)?;
+        let public = ipv4(SocketAddr::new(offer.public_address, offer.public_port))?;
+        let server = ipv4(offer.server)?;
+        let own: IpAddr = options::source_towards(offer.server, ports).ok()?;
+        let upstream = ipv4(SocketAddr::new(own, offer.upstream_port))?;
+        let shared = self.offload.flows.lend()?;
+        let entry = |direction, comes, leaves| Entry {
+            password: *offer.password.octets(),
+            header: offer.header.0,
+            comes,
+            leaves,
+            direction,
+            node_address: offer.node_address,
+            flow: shared.place(),
+            node,
+            credential,
+        };
+        let key = |source, destination| Key { source, destination };
+        let request = entry(Direction::Request, key(client, public), key(upstream, server));
+        let response = entry(Direction::Response, key(server, upstream), key(public, client));
+        let keys = [&request, &response].map(|entry| entry.comes);
+        for entry in [request, response] {
+            let octets = entry.to_octets();
+            let map = self.offload.entries.as_fd();
+            if bpf::update(map, &entry.comes.to_octets(), &octets.0).is_err() {
+                self.remove(keys);
+                return None;
+            }
+        }
+        self.keys.insert(shared.place(), keys);
+        Some(shared)
+    }
+
+    /// Has the kernel let go of the flow with this place.
+    pub(in crate::datapath) fn let_go(&mut self, place: u32) {
+        if let Some(keys) = self.keys.remove(&place) {
+            self.remove(keys);
+        }
+    }
+
+    fn remove(&self, keys: [Key; 2]) {
+        for key in keys {
+            // An error: it is not there.
+            let _ = bpf::delete(self.offload.entries.as_fd(), &key.to_octets());
+        }
+    }
+}
+
+fn ipv4(address: SocketAddr) -> Option<SocketAddrV4> {
+    match address {
+        SocketAddr::V4(address) => Some(address),
+        SocketAddr::V6(_) => None,
+    }
+}

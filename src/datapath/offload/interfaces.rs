@@ -1,0 +1,109 @@
+//! At which interfaces the programs run, and what happens when interfaces, addresses or routes change.
+
+use std::collections::BTreeSet;
+use std::io;
+use std::net::{IpAddr, SocketAddr};
+use std::os::fd::{AsRawFd, OwnedFd};
+use std::sync::{Arc, Weak};
+use std::time::Duration;
+
+use nix::errno::Errno;
+use nix::ifaddrs::getifaddrs;
+use nix::poll::{PollTimeout, poll};
+use nix::sys::socket::{
+    AddressFamily, MsgFlags, NetlinkAddr, SockFlag, SockProtocol, SockType, bind, recv, socket,
+};
+
+use super::Offload;
+use crate::config::Config;
+use crate::datapath::socket::port_pool::Ports;
+use crate::datapath::socket::sys::options;
+
+/// The kind of an interface whose frames have hardware addresses (`ARPHRD_ETHER`).
+const ETHERNET: u16 = 1;
+/// Changes come in groups; within this time they count as one.
+const PAUSE: Duration = Duration::from_millis(200);
+
+/// An interface.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) struct Interface {
+    pub(super) index: u32,
+    pub(super) name: String,
+}
+
+/// What the interfaces of a configuration are found by.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub(super) struct Wanted {
+    listen: Vec<IpAddr>,
+    /// One node of each net.
+    servers: Vec<SocketAddr>,
+}
+
+impl Wanted {
+    pub(super) fn of(config: &Config) -> Self {
+        let table = &config.table;
+        let first = |net| Some(table.mapping(table.mappings_of(net).next()?).server);
+        let servers = table.net_ids().filter_map(first).filter(SocketAddr::is_ipv4).collect();
+        Self { listen: config.listen.clone(), servers }
+    }
+
+    /// The interfaces as they are now: those that have a public address, and those that lead to the nodes.
+    /// Those whose frames have no hardware addresses are left out: tunnels, and loopback.
+    pub(super) fn interfaces(&self, ports: &Arc<Ports>) -> BTreeSet<Interface> {
+        let Ok(all) = getifaddrs() else { return BTreeSet::new() };
+        let all: Vec<_> = all.collect();
+        let towards =
+            self.servers.iter().flat_map(|&server| options::source_towards(server, ports));
+        let wanted: BTreeSet<IpAddr> = self.listen.iter().copied().chain(towards).collect();
+        let any = wanted.iter().any(IpAddr::is_unspecified);
+        let has_it = |name: &str| {
+            all.iter().filter(|entry| entry.interface_name == name).any(|entry| {
+                let address =
+                    entry.address.and_then(|address| Some(address.as_sockaddr_in()?.ip()));
+                address.is_some_and(|address| any || wanted.contains(&IpAddr::V4(address)))
+            })
+        };
+        let links = all.iter().filter_map(|entry| {
+            let link = *entry.address?.as_link_addr()?;
+            Some((entry.interface_name.clone(), link.hatype(), link.ifindex()))
+        });
+        let ethernet = links.filter(|(name, kind, _)| *kind == ETHERNET && has_it(name));
+        ethernet.map(|(name, _, index)| Interface { index: index as u32, name }).collect()
+    }
+}
+
+/// Where the kernel tells of changes.
+#[derive(Debug)]
+pub(in crate::datapath) struct Changes(OwnedFd);
+
+impl Changes {
+    pub(super) fn new() -> io::Result<Self> {
+        let groups = libc::RTMGRP_LINK
+            | libc::RTMGRP_IPV4_IFADDR
+            | libc::RTMGRP_IPV4_ROUTE
+            | 1 << (libc::RTNLGRP_IPV4_RULE - 1);
+        let (family, protocol) = (AddressFamily::Netlink, SockProtocol::NetlinkRoute);
+        let socket = socket(family, SockType::Raw, SockFlag::SOCK_CLOEXEC, protocol)?;
+        bind(socket.as_raw_fd(), &NetlinkAddr::new(0, groups as u32))?;
+        Ok(Self(socket))
+    }
+
+    /// Follows the changes as long as there is a router.
+    pub(super) fn follow(self, offload: &Weak<Offload>, ports: &Arc<Ports>) {
+        let mut told = [0; 8192];
+        loop {
+            // What changed does not matter, nor that the kernel had no room to tell all of it.
+            match recv(self.0.as_raw_fd(), &mut told, MsgFlags::empty()) {
+                Ok(_) | Err(Errno::ENOBUFS | Errno::EINTR) => {}
+                Err(error) => {
+                    tracing::warn!(%error, "cannot hear of changes of interfaces");
+                    return;
+                }
+            }
+            let Some(offload) = offload.upgrade() else { return };
+            offload.follow_interfaces(ports);
+            drop(offload);
+            let _ = poll(&mut [], PollTimeout::try_from(PAUSE).unwrap_or(PollTimeout::ZERO));
+        }
+    }
+}
