@@ -235,7 +235,7 @@ impl Counters {
             accepted: table.nets().iter().map(accepted).collect(),
             shared: shared.clone(),
             net_keys: net_keys(table),
-            refusals: Arc::default(),
+            refusals: Arc::new(if shared.is_some() { Refusals::none() } else { Refusals::default() }),
             stray: Arc::default(),
         }
     }

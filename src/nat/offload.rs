@@ -88,7 +88,7 @@ impl SharedFlow {
         }
     }
 
-    pub(super) fn traffic(&self) -> FlowTraffic {
+    pub(crate) fn traffic(&self) -> FlowTraffic {
         let Self { requests, responses, octets, .. } = self;
         let [requests, responses, octets] =
             [requests, responses, octets].map(|figure| figure.load(Relaxed));

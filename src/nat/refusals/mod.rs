@@ -121,6 +121,12 @@ impl Default for Refusals {
 }
 
 impl Refusals {
+    /// Those of a datapath that refuses nothing.
+    pub(super) fn none() -> Self {
+        let seen_before = [SeenBefore::new(1), SeenBefore::new(1)];
+        Self { sets: Box::default(), seen_before, not_listed: Counter::default() }
+    }
+
     /// Notes a refused datagram. `hash` makes a hash that strangers cannot foresee.
     #[inline]
     pub fn note(&self, writer: &Writer, now: Nanos, refused: &Refused, hash: &impl BuildHasher) {
