@@ -1,12 +1,17 @@
 //! What a confined process cannot do any more: each attempt is made by a process of its own, which
 //! confines itself as `pnet-nat run` does, and fails in the way it should. Each is made unconfined
-//! too, where it succeeds: what fails, fails for the confinement.
+//! too, where it succeeds: what fails, fails for the confinement. What only a relay with flows in the
+//! kernel may do is made in its confinement, in that of other relays, and unconfined.
 //!
-//! `violations` runs them all; `violations ATTEMPT on|off FOLDER` is one of those processes.
+//! `violations` runs them all; `violations ATTEMPT on|kernel-flows|off FOLDER` is one of those processes.
+
+// Nobody lends bpf(2) as a safe call.
+#![allow(unsafe_code)]
 
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, BufRead, Write};
 use std::net::{TcpListener, TcpStream, UdpSocket};
+use std::os::fd::RawFd;
 use std::os::unix::fs::symlink;
 use std::os::unix::net::{UnixListener, UnixStream};
 use std::os::unix::process::{CommandExt, ExitStatusExt};
@@ -18,6 +23,8 @@ use nix::sched::{CloneFlags, unshare};
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::{getppid, getuid, setuid};
 use pnet_nat::sandbox::{self, Layer, State};
+use pnet_nat_rig::harness::left_out;
+use socket2::{Domain, Protocol, Socket, Type};
 
 /// How an attempt ends in confinement.
 #[derive(Debug, PartialEq, Eq)]
@@ -63,9 +70,22 @@ const ATTEMPTS: &[Attempt] = &[
     ("read a secret that was exchanged", exchanged, End::Done),
 ];
 
+/// What is tried where there are flows in the kernel: how it ends there, and in a relay without them.
+const WITH_KERNEL_FLOWS: &[(Attempt, End)] = &[
+    (("change an entry of a map", |_| on_nothing(BPF_MAP_UPDATE_ELEM), End::Done), End::Killed),
+    (("delete an entry of a map", |_| on_nothing(BPF_MAP_DELETE_ELEM), End::Done), End::Killed),
+    (("attach a program", |_| on_nothing(BPF_LINK_CREATE), End::Done), End::Killed),
+    (("make a map", |_| at_all(BPF_MAP_CREATE), End::Killed), End::Killed),
+    (("look an entry of a map up", |_| at_all(BPF_MAP_LOOKUP_ELEM), End::Killed), End::Killed),
+    (("load a program", |_| at_all(BPF_PROG_LOAD), End::Killed), End::Killed),
+    (("ask for interfaces", |_| netlink(libc::NETLINK_ROUTE), End::Done), End::Denied),
+    (("ask for more over netlink", |_| netlink(libc::NETLINK_GENERIC), End::Denied), End::Denied),
+];
+
 /// What no other layer prevents.
 const LANDLOCK_ALONE: &[&str] = &["read elsewhere", "read the users of the host", "list a folder"];
 const NO_LANDLOCK: &str = "no Landlock";
+const NO_BPF: &str = "no bpf(2)";
 
 fn start_thread() -> io::Result<()> {
     thread::Builder::new().spawn(|| ())?.join().map_err(|_| io::Error::other("it panicked"))
@@ -73,6 +93,47 @@ fn start_thread() -> io::Result<()> {
 
 fn append(file: &Path) -> io::Result<()> {
     OpenOptions::new().append(true).open(file).map(drop)
+}
+
+fn netlink(protocol: libc::c_int) -> io::Result<()> {
+    let protocol = Protocol::from(protocol);
+    Socket::new(Domain::from(libc::AF_NETLINK), Type::RAW.nonblocking(), Some(protocol)).map(drop)
+}
+
+const BPF_MAP_CREATE: libc::c_int = 0;
+const BPF_MAP_LOOKUP_ELEM: libc::c_int = 1;
+const BPF_MAP_UPDATE_ELEM: libc::c_int = 2;
+const BPF_MAP_DELETE_ELEM: libc::c_int = 3;
+const BPF_PROG_LOAD: libc::c_int = 5;
+const BPF_LINK_CREATE: libc::c_int = 28;
+
+/// Calls bpf(2) with a descriptor that is not open.
+fn bpf(command: libc::c_int) -> io::Result<()> {
+    let none: RawFd = -1;
+    // Each command has its descriptor, or its type of map or program, in the first of these.
+    let mut attributes = [0; 32];
+    attributes[0] = none;
+    let size = size_of_val(&attributes);
+    let command = libc::c_long::from(command);
+    // SAFETY: The array has as many octets as the kernel is told. It has no address of other memory.
+    let done = unsafe { libc::syscall(libc::SYS_bpf, command, &raw mut attributes, size) };
+    if done < 0 { Err(io::Error::last_os_error()) } else { Ok(()) }
+}
+
+/// Has a command of bpf(2) reach the kernel, which finds that the descriptor is not open.
+fn on_nothing(command: libc::c_int) -> io::Result<()> {
+    let error = bpf(command).unwrap_err();
+    if error.raw_os_error() == Some(libc::EBADF) {
+        return Ok(());
+    }
+    println!("{NO_BPF}");
+    Err(error)
+}
+
+/// Has a command of bpf(2) reach the kernel, whatever the kernel makes of it.
+fn at_all(command: libc::c_int) -> io::Result<()> {
+    let _ = bpf(command);
+    Ok(())
 }
 
 /// Where the parent listens.
@@ -99,33 +160,46 @@ fn exchanged(folder: &Path) -> io::Result<()> {
 
 fn main() -> ExitCode {
     let arguments: Vec<_> = std::env::args().skip(1).collect();
-    if let [attempt, confinement @ ("on" | "off"), folder] =
+    if let [attempt, confinement @ ("on" | "kernel-flows" | "off"), folder] =
         arguments.iter().map(String::as_str).collect::<Vec<_>>()[..]
     {
-        return try_it(attempt, confinement == "on", Path::new(folder));
+        return try_it(attempt, confinement, Path::new(folder));
     }
     for (attempt, _, end) in ATTEMPTS {
-        let confined = make(attempt, "on");
-        if confined.stdout.starts_with(NO_LANDLOCK.as_bytes()) && LANDLOCK_ALONE.contains(attempt) {
-            let all = std::env::var_os("PNET_NAT_TESTS").is_some_and(|tests| tests == "all");
-            assert!(!all, "PNET_NAT_TESTS=all, and there is a want: Landlock in the kernel");
-            println!("{attempt}: left out: Landlock in the kernel");
-            continue;
-        }
-        assert_eq!(end_of(&confined), *end, "{attempt}: {confined:?}");
-        let free = make(attempt, "off");
-        assert_eq!(end_of(&free), End::Done, "{attempt}, unconfined: {free:?}");
-        println!("{attempt}: {end:?}");
+        ends(attempt, &[("on", end)]);
+    }
+    for ((attempt, _, end), without) in WITH_KERNEL_FLOWS {
+        ends(attempt, &[("kernel-flows", end), ("on", without)]);
     }
     ExitCode::SUCCESS
 }
 
+/// Makes one attempt in each of these confinements, and unconfined.
+fn ends(attempt: &str, confinements: &[(&str, &End)]) {
+    let free = make(attempt, "off");
+    if free.stdout.starts_with(NO_BPF.as_bytes()) {
+        return left_out(&format!("bpf(2) without a capability, to {attempt}"));
+    }
+    assert_eq!(end_of(&free), End::Done, "{attempt}, unconfined: {free:?}");
+    for (confinement, end) in confinements {
+        let confined = make(attempt, confinement);
+        if confined.stdout.starts_with(NO_LANDLOCK.as_bytes()) && LANDLOCK_ALONE.contains(&attempt)
+        {
+            return left_out(&format!("Landlock in the kernel, to {attempt}"));
+        }
+        assert_eq!(end_of(&confined), **end, "{attempt}, {confinement}: {confined:?}");
+        println!("{attempt}, {confinement}: {end:?}");
+    }
+}
+
 /// Makes one attempt, in this process.
-fn try_it(attempt: &str, confined: bool, folder: &Path) -> ExitCode {
-    let (_, act, _) = ATTEMPTS.iter().find(|(name, _, _)| *name == attempt).unwrap();
+fn try_it(attempt: &str, confinement: &str, folder: &Path) -> ExitCode {
+    let with_kernel_flows = WITH_KERNEL_FLOWS.iter().map(|(attempt, _)| attempt);
+    let mut attempts = ATTEMPTS.iter().chain(with_kernel_flows);
+    let (_, act, _) = attempts.find(|(name, _, _)| *name == attempt).unwrap();
     let files = [folder.join("etc/relay.toml"), folder.join("etc/secrets/service")];
-    if confined {
-        let sandbox = sandbox::prepare().confine(&files);
+    if confinement != "off" {
+        let sandbox = sandbox::prepare().confine(&files, confinement == "kernel-flows");
         for (layer, state) in sandbox.layers() {
             match (layer, state) {
                 (_, State::On) => {}

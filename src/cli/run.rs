@@ -94,8 +94,8 @@ pub(super) fn run(args: &Args) -> anyhow::Result<ExitCode> {
         Err(error) => return Ok(refuse(error)),
     };
     // Every thread inherits the confinement, since this is still the only one.
-    let sandbox =
-        prepared.map_or_else(|| Sandbox::off("--no-sandbox"), |prepared| prepared.confine(&files));
+    let sandbox = prepared
+        .map_or_else(|| Sandbox::off("--no-sandbox"), |prepared| prepared.confine(&files, false));
     sandbox.announce();
     let start_threads = || -> anyhow::Result<_> {
         logging::in_background()?;

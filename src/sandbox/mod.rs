@@ -2,7 +2,8 @@
 //! attacker into the host.
 //!
 //! The confinement has two steps: [`prepare`] before the first file is read, and
-//! [`Prepared::confine`] once every socket is bound. Both have to run on the main thread before
+//! [`Prepared::confine`] once every socket is bound and the program for flows in the kernel, if
+//! there is one, is loaded and attached. Both have to run on the main thread before
 //! another thread exists. Most of these restrictions apply to a single thread and to the threads
 //! that it starts later. If the kernel lacks a layer, the relay runs without it and says so.
 
@@ -173,8 +174,8 @@ pub struct Prepared {
 }
 
 /// Gives up at once what is not necessary even for the start: debuggers, privileges of programs
-/// that the process might start, and all capabilities except those for ports below 1024 and for
-/// becoming a [`User`]. So a file that the confined process could not read on a reload cannot be
+/// that the process might start, and all capabilities except those for ports below 1024, for
+/// becoming a [`User`], and for flows in the kernel. So a file that the confined process could not read on a reload cannot be
 /// read at the start either.
 pub fn prepare() -> Prepared {
     let memory = State::of(nix::sys::prctl::set_dumpable(false));
@@ -188,7 +189,11 @@ impl Prepared {
     /// Gives up the rest. The process keeps its open sockets and its threads, and may open new UDP
     /// sockets and start new threads. It may read all files that are or will be in the folders of
     /// the `readable` files. Of folders like `/etc`, it may read only these files.
-    pub fn confine(self, readable: &[PathBuf]) -> Sandbox {
+    ///
+    /// With `kernel_flows`, the process may also change the entries of the BPF maps that it has open,
+    /// attach the BPF programs that it has open to other interfaces, and ask the kernel for its
+    /// interfaces and routes. It can load no program and make no map.
+    pub fn confine(self, readable: &[PathBuf], kernel_flows: bool) -> Sandbox {
         let user = geteuid();
         // This is set again, because the kernel resets it when the user changes.
         let memory = match self.memory {
@@ -200,7 +205,7 @@ impl Prepared {
         let (landlock, own_figures) = files::confine(&readable);
         let fixed = readable.files().map(Path::to_owned).collect();
         // Seccomp comes last: the other layers need system calls that it blocks.
-        let seccomp = State::of(system_calls::confine());
+        let seccomp = State::of(system_calls::confine(kernel_flows));
         let states = [memory, self.no_new_privs, capabilities, landlock, seccomp];
         Sandbox { states, user, fixed, _own_figures: Arc::new(own_figures) }
     }

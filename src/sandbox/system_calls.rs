@@ -91,7 +91,18 @@ const ALLOWED_OLD: &[libc::c_long] =
 #[cfg(not(target_arch = "x86_64"))]
 const ALLOWED_OLD: &[libc::c_long] = &[];
 
-/// Calls that end the process.
+/// The commands of bpf(2) that serve flows in the kernel. Each acts through descriptors that the
+/// process has open. Any other command ends the process, as bpf(2) does without such flows.
+const KERNEL_FLOW_COMMANDS: [libc::c_int; 3] =
+    [BPF_MAP_UPDATE_ELEM, BPF_MAP_DELETE_ELEM, BPF_LINK_CREATE];
+/// A flow is opened or renewed.
+const BPF_MAP_UPDATE_ELEM: libc::c_int = 2;
+/// A flow is closed.
+const BPF_MAP_DELETE_ELEM: libc::c_int = 3;
+/// An interface has come back.
+const BPF_LINK_CREATE: libc::c_int = 28;
+
+/// Calls that end the process. Of bpf(2), [`KERNEL_FLOW_COMMANDS`] may be excepted.
 const DEADLY: &[libc::c_long] = &[
     libc::SYS_bpf,
     libc::SYS_execve,
@@ -119,16 +130,17 @@ pub(super) enum Error {
     Install(#[from] seccompiler::Error),
 }
 
-/// Installs the filters for every thread of the process.
-pub(super) fn confine() -> Result<(), Error> {
+/// Installs the filters for every thread of the process. With `kernel_flows`, they leave what flows
+/// in the kernel need.
+pub(super) fn confine(kernel_flows: bool) -> Result<(), Error> {
     // The strictest result of all filters counts. The list of allowed calls comes last, because it
     // blocks the calls that install a filter.
     let refuse = |errno: libc::c_int| SeccompAction::Errno(errno as u32);
     let (allow, kill) = (SeccompAction::Allow, SeccompAction::KillProcess);
     let filters = [
         filter(unconditional(&[libc::SYS_clone3]), allow.clone(), refuse(libc::ENOSYS))?,
-        filter(unconditional(DEADLY), allow.clone(), kill)?,
-        filter(allowed()?, refuse(libc::EPERM), allow)?,
+        filter(deadly(kernel_flows)?, allow.clone(), kill)?,
+        filter(allowed(kernel_flows)?, refuse(libc::EPERM), allow)?,
     ];
     for filter in &filters {
         seccompiler::apply_filter_all_threads(filter)?;
@@ -147,7 +159,17 @@ fn unconditional(calls: &[libc::c_long]) -> Rules {
     calls.iter().map(|&call| (call, Vec::new())).collect()
 }
 
-fn allowed() -> Result<Rules, Error> {
+fn deadly(kernel_flows: bool) -> Result<Rules, Error> {
+    let mut rules = unconditional(DEADLY);
+    if kernel_flows {
+        let is_another = KERNEL_FLOW_COMMANDS.map(|command| is_not(0, command));
+        let is_another = is_another.into_iter().collect::<Result<Vec<_>, _>>()?;
+        rules.insert(libc::SYS_bpf, vec![rule(&is_another)?]);
+    }
+    Ok(rules)
+}
+
+fn allowed(kernel_flows: bool) -> Result<Rules, Error> {
     let mut rules = unconditional(ALLOWED);
     rules.extend(unconditional(ALLOWED_OLD));
 
@@ -173,7 +195,14 @@ fn allowed() -> Result<Rules, Error> {
     let kind = libc::SOCK_STREAM | libc::SOCK_DGRAM | libc::SOCK_RAW | libc::SOCK_SEQPACKET;
     let datagrams = |family| rule(&[is(0, family)?, masked(1, kind, libc::SOCK_DGRAM)?]);
     let families = [libc::AF_INET, libc::AF_INET6, libc::AF_UNIX];
-    let sockets = families.into_iter().map(datagrams).collect::<Result<_, _>>()?;
+    let mut sockets = families.into_iter().map(datagrams).collect::<Result<Vec<_>, _>>()?;
+    if kernel_flows {
+        // Without a capability, such a socket asks for interfaces and routes and changes nothing.
+        let routes = is(2, libc::NETLINK_ROUTE)?;
+        sockets.push(rule(&[is(0, libc::AF_NETLINK)?, masked(1, kind, libc::SOCK_RAW)?, routes])?);
+        let commands = KERNEL_FLOW_COMMANDS.map(|command| rule(&[is(0, command)?]));
+        rules.insert(libc::SYS_bpf, commands.into_iter().collect::<Result<_, _>>()?);
+    }
     rules.insert(libc::SYS_socket, sockets);
     rules.insert(libc::SYS_socketpair, vec![rule(&[is(0, libc::AF_UNIX)?])?]);
     rules.insert(libc::SYS_ioctl, vec![rule(&[is(1, libc::FIONBIO as libc::c_int)?])?]);
@@ -194,6 +223,11 @@ fn rule(conditions: &[SeccompCondition]) -> Result<SeccompRule, BackendError> {
 fn is(argument: u8, value: libc::c_int) -> Result<SeccompCondition, BackendError> {
     let value = u64::from(value as u32);
     SeccompCondition::new(argument, SeccompCmpArgLen::Dword, SeccompCmpOp::Eq, value)
+}
+
+fn is_not(argument: u8, value: libc::c_int) -> Result<SeccompCondition, BackendError> {
+    let value = u64::from(value as u32);
+    SeccompCondition::new(argument, SeccompCmpArgLen::Dword, SeccompCmpOp::Ne, value)
 }
 
 fn masked(
