@@ -94,8 +94,10 @@ pub(super) fn run(args: &Args) -> anyhow::Result<ExitCode> {
         Err(error) => return Ok(refuse(error)),
     };
     // Every thread inherits the confinement, since this is still the only one.
-    let sandbox = prepared
-        .map_or_else(|| Sandbox::off("--no-sandbox"), |prepared| prepared.confine(&files, false));
+    let sandbox = prepared.map_or_else(
+        || Sandbox::off("--no-sandbox"),
+        |prepared| prepared.confine(&files, router.has_offload()),
+    );
     sandbox.announce();
     let start_threads = || -> anyhow::Result<_> {
         logging::in_background()?;

@@ -61,6 +61,11 @@ pub struct Bound {
 }
 
 impl Bound {
+    /// Whether the kernel carries flows, for which the process has to change maps and ask for interfaces.
+    pub fn has_offload(&self) -> bool {
+        self.router.offload.is_ok()
+    }
+
     /// Starts the workers. They inherit the permissions of the calling thread.
     pub fn start(self) -> Result<Router, StartError> {
         let Self { mut router, workers, changes } = self;

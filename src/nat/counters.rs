@@ -235,7 +235,11 @@ impl Counters {
             accepted: table.nets().iter().map(accepted).collect(),
             shared: shared.clone(),
             net_keys: net_keys(table),
-            refusals: Arc::new(if shared.is_some() { Refusals::none() } else { Refusals::default() }),
+            refusals: Arc::new(if shared.is_some() {
+                Refusals::none()
+            } else {
+                Refusals::default()
+            }),
             stray: Arc::default(),
         }
     }

@@ -278,7 +278,8 @@ fn is_left_to_the_core(direction: Direction, payload: &[u8]) -> bool {
     match direction {
         Direction::Request => route.sources().last() == Some(wire::NCNA),
         Direction::Response => {
-            datagram.password().is_none() || route.destinations().any(|element| element >= wire::BNA)
+            datagram.password().is_none()
+                || route.destinations().any(|element| element >= wire::BNA)
         }
     }
 }

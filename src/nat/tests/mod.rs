@@ -4,6 +4,7 @@
 mod attackers;
 mod fixture;
 mod handover;
+mod offload;
 mod order;
 mod profinet;
 mod remote;
