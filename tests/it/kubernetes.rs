@@ -11,7 +11,7 @@ use std::process::Command;
 
 use nix::sys::signal::Signal;
 use nix::unistd::geteuid;
-use serde_json::Value;
+use serde_json::{Value, json};
 
 use crate::harness::{
     Metrics, PASSWORD, Process, Site, TOOLS, eventually, exchange, has_yaml, left_out, pnet_nat,
@@ -37,6 +37,20 @@ fn build_in(folder: &Path) -> Option<String> {
     };
     assert!(output.status.success(), "{output:?}");
     has_yaml().then(|| String::from_utf8(output.stdout).unwrap())
+}
+
+/// The manifests with one of the components, which are left out as the files are.
+fn build_with(component: &str) -> Option<String> {
+    let folder = tempfile::tempdir().unwrap();
+    let copied = Command::new("cp").args(["-r", FOLDER]).arg(folder.path()).status().unwrap();
+    assert!(copied.success());
+    let folder = folder.path().join("kubernetes");
+    let file = folder.join("kustomization.yaml");
+    let text = fs::read_to_string(&file).unwrap();
+    let none = "\n#components: [monitoring]\n";
+    assert!(text.contains(none), "without the operator it is left out");
+    fs::write(&file, text.replace(none, &format!("\ncomponents: [{component}]\n"))).unwrap();
+    build_in(&folder)
 }
 
 /// What the schemas have against manifests.
@@ -85,15 +99,7 @@ fn the_manifests_are_as_the_schemas_want_them() {
 /// they have to fit is compared: the Service, the Secret, the container's port.
 #[test]
 fn what_the_operator_gets_fits_the_relays() {
-    let folder = tempfile::tempdir().unwrap();
-    let copied = Command::new("cp").args(["-r", FOLDER]).arg(folder.path()).status().unwrap();
-    assert!(copied.success());
-    let folder = folder.path().join("kubernetes");
-    let file = folder.join("kustomization.yaml");
-    let text = fs::read_to_string(&file).unwrap();
-    assert!(text.contains("\n#components: [monitoring]\n"), "without the operator it is left out");
-    fs::write(&file, text.replace("#components:", "components:")).unwrap();
-    let Some(manifests) = build_in(&folder) else { return };
+    let Some(manifests) = build_with("monitoring") else { return };
     let (ours, known): (Vec<_>, Vec<_>) = manifests
         .split("\n---\n")
         .partition(|document| document.contains("apiVersion: monitoring.coreos.com/v1\n"));
@@ -238,17 +244,41 @@ fn mount(folder: &Path, volume: &Value, configuration: &str, group: u32) {
 #[test]
 fn the_container_relays_as_its_manifest_has_it() {
     let Some(manifests) = build() else { return };
+    relays(&manifests);
+}
+
+/// As README.md has it. The container begins as root, with some capabilities of root's; the relay is the
+/// same user as without, and nothing of this is left.
+#[test]
+fn the_container_with_flows_in_the_kernel_gives_its_rights_up() {
+    let Some(manifests) = build_with("kernel-flows") else { return };
+    for version in VERSIONS {
+        assert_eq!(complaint(&manifests, version), None);
+    }
+    let deployment = manifest(&manifests, "Deployment");
+    let rights = &deployment["spec"]["template"]["spec"]["containers"][0]["securityContext"];
+    assert_eq!((&rights["runAsUser"], &rights["runAsNonRoot"]), (&json!(0), &json!(false)));
+    assert_eq!(rights["capabilities"]["drop"], json!(["ALL"]));
+    assert_eq!(rights["allowPrivilegeEscalation"], json!(false));
+    relays(&manifests);
+}
+
+fn relays(manifests: &str) {
     if !geteuid().is_root() || Command::new("setpriv").arg("--version").output().is_err() {
         return left_out("root and setpriv, to become the container's user");
     }
-    let deployment = manifest(&manifests, "Deployment");
+    let deployment = manifest(manifests, "Deployment");
     let pod = &deployment["spec"]["template"]["spec"];
     let container = &pod["containers"][0];
-    let id = |name: &str| pod["securityContext"][name].as_u64().unwrap();
+    // What a container says of itself goes before what is said of the pod.
+    let id = |name: &str| {
+        let id = container["securityContext"].get(name);
+        id.unwrap_or(&pod["securityContext"][name]).as_u64().unwrap()
+    };
 
     let site = Site::claim();
     let mut configuration =
-        manifest(&manifests, "ConfigMap")["data"]["pnet-nat.toml"].as_str().unwrap().to_owned();
+        manifest(manifests, "ConfigMap")["data"]["pnet-nat.toml"].as_str().unwrap().to_owned();
     let (public, subnet) = (site.public_address(), site.address(0));
     for (from, to) in [
         (r#"listen = ["0.0.0.0"]"#, format!(r#"listen = ["{public}"]"#)),
@@ -271,7 +301,11 @@ fn the_container_relays_as_its_manifest_has_it() {
     command.arg(format!("--reuid={}", id("runAsUser")));
     command.arg(format!("--regid={}", id("runAsGroup")));
     command.arg(format!("--groups={}", id("fsGroup")));
-    command.args(["--no-new-privs", "--bounding-set=-all", "--inh-caps=-all"]).arg(program);
+    let added = container["securityContext"]["capabilities"]["add"].as_array();
+    let added = added.into_iter().flatten().map(|name| name.as_str().unwrap().to_lowercase());
+    let bounds: String = added.map(|name| format!(",+{name}")).collect();
+    command.arg(format!("--bounding-set=-all{bounds}"));
+    command.args(["--no-new-privs", "--inh-caps=-all"]).arg(program);
     let mounted = container["volumeMounts"][0]["mountPath"].as_str().unwrap();
     for argument in container["args"].as_array().unwrap() {
         let argument = argument.as_str().unwrap();
@@ -288,6 +322,12 @@ fn the_container_relays_as_its_manifest_has_it() {
             assert!(!relay.has_ended(), "{}", relay.stderr());
             (ask(path) == Some(200)).then_some(())
         });
+    }
+    let status = fs::read_to_string(format!("/proc/{}/status", relay.id())).unwrap();
+    assert!(status.contains("\nUid:\t65532\t65532\t65532\t65532\n"), "{status}");
+    assert!(status.contains("\nGid:\t65532\t65532\t65532\t65532\n"), "{status}");
+    for set in ["CapInh", "CapPrm", "CapEff", "CapAmb"] {
+        assert!(status.contains(&format!("\n{set}:\t0000000000000000\n")), "{status}");
     }
     assert_eq!(ask("/metrics"), Some(401), "the network sees nothing without the token");
     exchange(&site.client(), site.public(4), &site.node(4), 4);

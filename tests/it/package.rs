@@ -12,6 +12,7 @@ use serde_json::Value;
 use crate::harness::{Machine, Metrics, PASSWORD, Process, eventually, left_out, pnet_nat};
 
 const UNIT: &str = "deploy/systemd/pnet-nat.service";
+const KERNEL_FLOWS: &str = "deploy/systemd/kernel-flows.conf";
 
 /// The most that `systemd-analyze security` may find exposed, of 10.
 const MOST_EXPOSED: f64 = 2.0;
@@ -78,6 +79,7 @@ fn the_package_has_what_its_pages_name() {
         "grafana/dashboards/pnet-nat.json",
         "fail2ban/jail.d/pnet-nat.conf",
         "keepalived/keepalived.conf",
+        "systemd/kernel-flows.conf",
     ] {
         assert!(documentation.join("examples").join(example).is_file(), "{example}");
     }
@@ -104,8 +106,19 @@ fn markdown(folder: &Path) -> Vec<PathBuf> {
 
 #[test]
 fn the_unit_leaves_little_exposed() {
+    leaves_little_exposed(Path::new(UNIT));
+    let folder = tempfile::tempdir().unwrap();
+    let unit = folder.path().join("pnet-nat.service");
+    let drop_ins = folder.path().join("pnet-nat.service.d");
+    fs::copy(UNIT, &unit).unwrap();
+    fs::create_dir(&drop_ins).unwrap();
+    fs::copy(KERNEL_FLOWS, drop_ins.join("kernel-flows.conf")).unwrap();
+    leaves_little_exposed(&unit);
+}
+
+fn leaves_little_exposed(unit: &Path) {
     let analyze = |arguments: &[&str]| {
-        Command::new("systemd-analyze").args(arguments).arg(UNIT).output().ok()
+        Command::new("systemd-analyze").args(arguments).arg(unit).output().ok()
     };
     let Some(output) = analyze(&["security", "--offline=true", "--no-pager"]) else {
         return left_out("systemd-analyze, of the package systemd");
@@ -189,6 +202,7 @@ fn the_package_is_installed_run_and_removed() {
     installed_and_not_started(&service);
     let _nodes = configured_and_started(&service);
     confined(&service);
+    confined_with_flows_in_the_kernel(&service);
     reloaded(&service);
     passwords_changed(&service);
     passwords_changed_without_a_restart(&service);
@@ -269,6 +283,39 @@ fn confined(service: &Service) {
     }
     assert!(service.metrics().sum("process_open_fds", &[]) > 5, "it can count what is its own");
 }
+
+/// The step of deploy/systemd, which is typed as it is written there, hands over what is needed, and none
+/// of it is left.
+fn confined_with_flows_in_the_kernel(service: &Service) {
+    let Service(machine) = service;
+    let page = include_str!("../../deploy/systemd/README.md");
+    let (_, step) = page.split_once("\n**Flows in the kernel**").unwrap();
+    let step = step.split("```").nth(1).unwrap().strip_prefix("sh\n").unwrap();
+    // What the service begins with is in the journal.
+    machine.shell(&format!(
+        "mkdir -p {DROP_INS} && printf '{SHOWS_ITS_RIGHTS}' > {DROP_INS}/shows.conf"
+    ));
+    machine.shell(step);
+    service.expect_state("active");
+    let journal = machine.journal();
+    assert!(journal.contains("CapEff:\t000000c000001000"), "{journal}");
+    let system_calls = service.property("SystemCallFilter");
+    assert!(system_calls.split_whitespace().any(|call| call == "bpf"), "{system_calls}");
+    let families = service.property("RestrictAddressFamilies");
+    assert!(families.contains("AF_NETLINK") && families.contains("AF_INET6"), "{families}");
+
+    let id = service.property("MainPID");
+    let status = machine.run(&["cat", &format!("/proc/{id}/status")]);
+    for set in ["CapInh", "CapPrm", "CapEff", "CapAmb"] {
+        assert!(status.contains(&format!("{set}:\t0000000000000000")), "{status}");
+    }
+    assert!(service.answers("1-4"));
+    machine.shell(&format!("rm -r {DROP_INS}"));
+    machine.run(&["systemctl", "daemon-reload"]);
+    machine.run(&["systemctl", "restart", "pnet-nat"]);
+}
+
+const SHOWS_ITS_RIGHTS: &str = "[Service]\nExecStartPre=grep Cap /proc/self/status\n";
 
 /// A sound configuration comes into force; what does not makes the job fail.
 fn reloaded(service: &Service) {
