@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 
 use crate::harness::{
     FIGURE_10, Network, Peer, Process, Relay, Settings, Site, WRONG, close, datagram, eventually,
-    exchange, left_out, request,
+    exchange, left_out, pnet_nat, request,
 };
 
 const PAGE: &str = include_str!("../../docs/log.md");
@@ -89,7 +89,9 @@ fn stopped_at_once() -> Process {
 fn carried() -> Option<Process> {
     let network = Network::build()?;
     let place = network.place(r#"["198.51.100.1"]"#);
-    let log = network.edge.enter(|| place.relay(&Settings::default()).finish());
+    let configuration = place.configuration(&Settings::default());
+    let command = |arguments: &[&str]| pnet_nat(&[arguments, &["--no-sandbox"]].concat());
+    let log = network.edge.enter(|| Relay::start_as(&configuration, place.admin, command).finish());
     if let Some(line) = log.logged("open flows stay on the sockets").pop() {
         left_out(&format!("flows in the kernel: {}", line["why"]));
         return None;
