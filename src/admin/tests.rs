@@ -795,6 +795,14 @@ fn status_tells_how_the_process_is_confined() {
 }
 
 #[test]
+fn status_tells_why_the_kernel_carries_no_flows() {
+    let server = Server::start(Router::idle(config(), 1));
+    let offload = &server.get("/api/v1/status").json()["offload"];
+    let why = "[datapath] kernel = \"off\"";
+    assert_eq!(*offload, json!({ "state": "off", "why": why, "flows": 0, "interfaces": [] }));
+}
+
+#[test]
 fn stopping_does_not_wait_for_a_client_that_does_not_read() {
     let server = Server::start(Router::idle(config(), 1));
     let _silent = server.connect();

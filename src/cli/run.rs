@@ -19,8 +19,8 @@ use super::signals::{Signals, let_hangup_through};
 use super::{BAD_USE, TRY_AGAIN, WITHOUT_FILE, complain, load, source, told};
 use crate::admin::control::{self, ControlError, ControlFile};
 use crate::admin::{self, Listeners};
-use crate::config::{Admin, Config, Source, Warning};
-use crate::datapath::{Bound, Router, StartError};
+use crate::config::{Admin, Config, KernelFlows, Source, Warning};
+use crate::datapath::{Bound, OffloadState, Router, StartError};
 use crate::listen::{self, ListenError};
 use crate::logging;
 use crate::observe::{DropReport, Observer};
@@ -258,4 +258,18 @@ fn announce(router: &Router, control: Option<&ControlFile>) {
         control = control.map(|control| tracing::field::display(control.path().display())),
         "relaying"
     );
+    // Whoever has switched it off knows it.
+    if config.datapath.kernel != KernelFlows::Off {
+        announce_kernel(router.offload());
+    }
+}
+
+fn announce_kernel(state: OffloadState) {
+    match state.why_not {
+        None => {
+            let interfaces = logging::list(state.interfaces);
+            tracing::info!(interfaces, "the kernel carries open flows");
+        }
+        Some(why) => tracing::info!(why, "open flows stay on the sockets"),
+    }
 }

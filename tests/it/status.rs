@@ -7,10 +7,11 @@ use std::process::Command;
 use std::thread;
 
 use nix::sys::signal::Signal;
-use serde_json::Value;
+use serde_json::{Value, json};
 
 use crate::harness::{
-    Process, Relay, Settings, Site, Terminal, WRONG, eventually, exchange, pnet_nat, request,
+    Network, Process, Relay, Settings, Site, Terminal, WRONG, eventually, exchange, left_out,
+    pnet_nat, request,
 };
 
 /// Exit code, stdout and stderr.
@@ -55,11 +56,12 @@ fn nets_nodes_and_drops_are_shown() {
     assert_eq!(row(&table, &["section-1", "33", "never asked"])[3..5], ["0", "0"]);
     assert!(row(&table, &["password_wrong", "1"])[2].contains("someone who guesses"));
     assert!(table.contains("\nA silent node: ping its server from the router."), "{table}");
+    assert!(table.contains("\nIn the kernel: no: no Ethernet interface has "), "{table}");
     assert!(!table.contains('\x1b'), "no colour where there is no terminal");
 
     let (code, json, _) = status(&site, &["--format", "json", "--net", "section-1"]);
     let json: Value = serde_json::from_str(&json).unwrap();
-    assert_eq!((code, &json["nets"][0]["silent_nodes"]), (Some(0), &serde_json::json!([3])));
+    assert_eq!((code, &json["nets"][0]["silent_nodes"]), (Some(0), &json!([3])));
     let (code, _, error) = status(&site, &["--net", "section-2"]);
     assert_eq!((code, error.contains("no net has this name")), (Some(1), true), "{error}");
     relay.finish();
@@ -235,6 +237,42 @@ fn of_many_nodes_the_silent_ones_are_shown_or_all() {
     relay.finish();
 }
 
+/// The table, the API and the metrics tell the same of a flow that the kernel carries.
+#[test]
+fn a_flow_in_the_kernel_is_told_everywhere() {
+    let Some(network) = Network::build() else { return };
+    network.at_the_edge(|| {
+        let place = network.place(r#"["198.51.100.1"]"#);
+        let configuration = place.configuration(&Settings::default());
+        let command = |arguments: &[&str]| pnet_nat(&[arguments, &["--no-sandbox"]].concat());
+        let relay = Relay::start_as(&configuration, place.admin, command);
+        let offload = || {
+            let status: Value =
+                serde_json::from_str(&relay.get("/api/v1/status").unwrap().1).unwrap();
+            status["offload"].clone()
+        };
+        if let Value::String(why) = &offload()["why"] {
+            return left_out(&format!("flows in the kernel: {why}"));
+        }
+        let (client, node) = (network.client("198.51.100.7"), network.node(4));
+        for _ in 0..3 {
+            exchange(&client, network.public("198.51.100.1", 4), &node, 4);
+        }
+        let interfaces = ["eth0", "eth1"];
+        let expected = json!({ "state": "on", "why": null, "flows": 1, "interfaces": interfaces });
+        assert_eq!(offload(), expected);
+        for gauge in ["pnet_nat_kernel_offload", "pnet_nat_kernel_flows"] {
+            assert_eq!(relay.metrics().sum(gauge, &[]), 1, "{gauge}");
+        }
+        let url = format!("http://{}/", place.admin);
+        let mut status = Process::start(pnet_nat(&["status", "--url", &url]));
+        assert_eq!(status.end(), Some(0));
+        let table = status.stdout();
+        assert!(table.contains("\nIn the kernel: 1 flow, at eth0, eth1\n"), "{table}");
+        relay.finish();
+    });
+}
+
 #[test]
 fn a_failed_reload_and_a_relay_that_stops_are_shown() {
     let site = Site::claim();
@@ -298,7 +336,7 @@ fn nothing_that_a_server_answers_reaches_the_terminal_as_a_command() {
     let site = Site::claim();
     let listener = TcpListener::bind(site.admin()).unwrap();
     let harmful = "\x1b]0;title\x07\u{9b}31m\u{202e}\r\nforged";
-    let json = serde_json::json!({ "nets": harmful, harmful: harmful }).to_string();
+    let json = json!({ "nets": harmful, harmful: harmful }).to_string();
     for (line, body) in [("503 No", harmful), ("200 OK", harmful), ("200 OK", json.as_str())] {
         thread::scope(|scope| {
             scope.spawn(|| {

@@ -73,7 +73,7 @@ pub(crate) fn errors(browser: &Browser) -> Vec<String> {
     browser.errors()
 }
 
-/// Confinement, and a reload that fails.
+/// Confinement, flows in the kernel, and a reload that fails.
 fn the_relay_itself_is_shown(browser: &Browser, relay: &Relay) {
     let status: Value = serde_json::from_str(&relay.get("/api/v1/status").unwrap().1).unwrap();
     let layers = status["sandbox"].as_array().unwrap();
@@ -82,6 +82,7 @@ fn the_relay_itself_is_shown(browser: &Browser, relay: &Relay) {
         let [layer, state] = ["layer", "state"].map(|key| layer[key].as_str().unwrap());
         browser.expect("#relay", &format!("{layer} {state}"));
     }
+    browser.expect("#relay", &format!("no: {}", status["offload"]["why"].as_str().unwrap()));
     browser.expect("#relay", "successful; the configuration in force is ");
     let file = relay.folder.path().join("pnet-nat.toml");
     let right = fs::read_to_string(&file).unwrap();

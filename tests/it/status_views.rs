@@ -48,7 +48,9 @@ fn everything() -> Value {
             "text": text, "remedy": remedy })
     };
     json!({
-        "/api/v1/status": { "probe": true },
+        "/api/v1/status": { "probe": true, "offload": {
+            "state": "on", "why": null, "flows": 0, "interfaces": ["eth0", "eth1"],
+        } },
         "/api/v1/refused": { "not_listed": 4, "refused": [
             { "source": "198.51.100.9", "direction": "request", "net": "section-1", "node": 3, "reason": "source_not_allowed",
                 "count": 138, "first_age_seconds": 840.0, "last_age_seconds": 3.1 },
@@ -102,6 +104,7 @@ fn who_is_refused_connected_and_what_happened_is_told() {
 
     browser.expect("#banner.doubtful", "138 requests refused: source_not_allowed. The last ");
     assert_eq!(browser.run("return document.title"), "requests refused · pnet-nat");
+    browser.expect("#relay", "0 of 0 flows, at eth0, eth1");
     browser.expect("#refused tbody tr:first-child th", "198.51.100.9");
     browser.expect("#refused tbody tr:first-child", "is not in allow of section-1");
     browser.expect("#refused tbody tr:first-child", "138");

@@ -11,7 +11,7 @@ use super::traffic::DirectionState;
 use crate::COMMIT;
 use crate::admin::Shared;
 use crate::config::{Changes, Config, NotInForce};
-use crate::datapath::{ActiveConfig, LastReload};
+use crate::datapath::{ActiveConfig, LastReload, OffloadState};
 use crate::nat::{Direction, RESPONSE_BUCKETS, SourceSketch};
 use crate::observe::totals::{self, NodeTotals};
 use crate::sandbox::{self, Layer};
@@ -47,6 +47,7 @@ struct Status<'a> {
     /// Upper bounds of `response_time_buckets`; the last bucket has none.
     response_time_bounds_seconds: [f64; RESPONSE_BUCKETS.len()],
     sandbox: Vec<LayerState<'a>>,
+    offload: KernelState,
     /// Whether `POST /api/v1/probe` is enabled.
     probe: bool,
 }
@@ -98,6 +99,26 @@ struct LayerState<'a> {
     why: Option<&'a str>,
 }
 
+/// Whether the kernel carries open flows.
+#[derive(Serialize)]
+struct KernelState {
+    /// `on` or `off`.
+    state: &'static str,
+    /// Why it is off; null: it is on.
+    why: Option<String>,
+    /// Flows that the kernel carries now.
+    flows: usize,
+    /// The interfaces at which it does.
+    interfaces: Vec<String>,
+}
+
+impl From<OffloadState> for KernelState {
+    fn from(OffloadState { why_not, flows, interfaces }: OffloadState) -> Self {
+        let state = if why_not.is_none() { "on" } else { "off" };
+        Self { state, why: why_not, flows, interfaces }
+    }
+}
+
 impl<'a> Status<'a> {
     fn of(shared: &'a Shared, active: &'a ActiveConfig, last_reload: &'a LastReload) -> Self {
         let state = |(layer, state): (Layer, &'a sandbox::State)| LayerState {
@@ -125,6 +146,7 @@ impl<'a> Status<'a> {
             upstream_kernel_dropped_datagrams: active.upstream_kernel_drops().by_cause().into(),
             response_time_bounds_seconds: RESPONSE_BUCKETS,
             sandbox: shared.sandbox.layers().map(state).collect(),
+            offload: shared.router.offload().into(),
             probe: admin.as_ref().is_some_and(|admin| admin.probe),
         }
     }

@@ -35,6 +35,7 @@ pub(super) struct Status {
     pub(super) stray_responses: Datagrams,
     pub(super) upstream_kernel_dropped_datagrams: BTreeMap<String, u64>,
     pub(super) sandbox: Vec<Layer>,
+    pub(super) offload: Offload,
 }
 
 #[derive(Debug, Deserialize)]
@@ -58,6 +59,15 @@ pub(super) struct Layer {
     pub(super) layer: String,
     pub(super) state: String,
     pub(super) why: Option<String>,
+}
+
+/// Whether the kernel carries flows.
+#[derive(Debug, Deserialize)]
+pub(super) struct Offload {
+    /// None: it does.
+    pub(super) why: Option<String>,
+    pub(super) flows: u64,
+    pub(super) interfaces: Vec<String>,
 }
 
 #[derive(Debug, Deserialize)]

@@ -8,7 +8,7 @@ use comfy_table::ContentArrangement;
 
 use super::super::output::{Paint, age, duration, table};
 use super::refused::hint;
-use super::snapshot::{Net, Node, NotInForce, Reload, Snapshot, Status, Traffic};
+use super::snapshot::{Net, Node, NotInForce, Offload, Reload, Snapshot, Status, Traffic};
 
 /// The most nodes that are all listed without `--full`.
 const MOST_NODES: u64 = 100;
@@ -84,6 +84,7 @@ impl Layout {
             format!("{} {}{why}", layer.layer, layer.state)
         });
         let _ = writeln!(text, "Confinement: {}", layers.collect::<Vec<_>>().join(", "));
+        let _ = writeln!(text, "In the kernel: {}", in_the_kernel(&status.offload));
         text
     }
 
@@ -160,6 +161,16 @@ impl Layout {
     ) -> String {
         table(header, rows).to_string()
     }
+}
+
+/// The flows that the kernel carries, or why it carries none.
+fn in_the_kernel(Offload { why, flows, interfaces }: &Offload) -> String {
+    if let Some(why) = why {
+        return format!("no: {why}");
+    }
+    let noun = if *flows == 1 { "flow" } else { "flows" };
+    let at = if interfaces.is_empty() { "no interface" } else { &interfaces.join(", ") };
+    format!("{flows} {noun}, at {at}")
 }
 
 fn net_header(rates: bool) -> [&'static str; 9] {

@@ -13,7 +13,7 @@ use prometheus::proto::{
 
 use super::metric_family;
 use crate::COMMIT;
-use crate::datapath::{KernelDrops, LastReload};
+use crate::datapath::{KernelDrops, LastReload, OffloadState};
 use crate::nat::{CloseReason, Direction, Net, NetKind, RESPONSE_BUCKETS};
 use crate::observe::totals::{DirectionTotals, NetTotals, NodeTotals};
 use crate::sandbox::{Layer, Sandbox, State};
@@ -153,6 +153,7 @@ pub(super) struct RouterState {
     pub(super) started_at: f64,
     pub(super) audit_lines_left_out: u64,
     pub(super) log_lines_lost: u64,
+    pub(super) offload: OffloadState,
 }
 
 impl RouterState {
@@ -186,6 +187,18 @@ pub(super) const ROUTER_FAMILIES: &[RouterFamily] = &[
         help: "Lines of the log that stderr did not take, or not fast enough.",
         kind: MetricType::COUNTER,
         sample: |state| counter(&[], state.log_lines_lost),
+    },
+    RouterFamily {
+        name: "pnet_nat_kernel_offload",
+        help: "1: the kernel carries open flows by itself; 0: all stay on the relay's sockets.",
+        kind: MetricType::GAUGE,
+        sample: |state| gauge(&[], f64::from(state.offload.why_not.is_none())),
+    },
+    RouterFamily {
+        name: "pnet_nat_kernel_flows",
+        help: "Flows that the kernel carries now, of those in pnet_nat_flows.",
+        kind: MetricType::GAUGE,
+        sample: |state| gauge(&[], state.offload.flows as f64),
     },
     RouterFamily {
         name: "pnet_nat_build_info",

@@ -64,6 +64,7 @@ impl Metrics {
             started_at,
             audit_lines_left_out: self.router.audit().left_out(),
             log_lines_lost: logging::lines_lost(),
+            offload: self.router.offload(),
         };
         let router = ROUTER_FAMILIES.iter().map(move |family| router_family(family, &state));
         let layers = iter::once(families::sandbox_layers(&self.sandbox));

@@ -112,6 +112,14 @@ fn every_reason_stands_at_0_before_anything_happened() {
 }
 
 #[test]
+fn the_kernel_carries_nothing_where_it_is_not_asked_to() {
+    let scrape = Scrape::of(&Router::idle(config(), 1));
+    for gauge in ["pnet_nat_kernel_offload", "pnet_nat_kernel_flows"] {
+        assert_eq!(scrape.get(gauge), 0.0);
+    }
+}
+
+#[test]
 fn workers_are_added_up() {
     let (router, writer) = (Router::idle(config(), 2), Writer::of_worker());
     for (worker, n) in router.active_config().counters.iter().zip([3, 40]) {

@@ -39,12 +39,20 @@ function showTiles(time, status, states, dropped) {
   TILES.passwords.add(time, wrongRate);
 }
 
-function showRelay(status) {
+/** How many of all flows the kernel carries, or why it carries none. */
+function inTheKernel({ state, why, flows, interfaces }, all) {
+  if (state === "off") return `no: ${why}`;
+  const at = interfaces.length ? interfaces.join(", ") : "no interface";
+  return `${whole.format(flows)} of ${counted(all, "flow")}, at ${at}`;
+}
+
+function showRelay(status, states) {
   const build = status.commit ? `${status.version} (${status.commit})` : status.version;
   const program = status.title ? "pnet-nat " : "";
   write($("title"), status.title ?? "pnet-nat");
   write($("process"), `${program}${build}, up for ${age(status.uptime_seconds)}`);
-  const { reload, sandbox } = status;
+  const { reload, sandbox, offload } = status;
+  const flows = states.reduce((sum, net) => sum + net.flows, 0);
   const inForce = `the configuration in force is ${age(reload.in_force_seconds)} old`;
   const layers = sandbox.map(({ layer, state, why }) => `${layer} ${state}${why ? ` (${why})` : ""}`);
   const [{ why }] = sandbox; // the same of all when none was asked for
@@ -54,6 +62,7 @@ function showRelay(status) {
     ["Relaying", status.ready ? "yes" : "no: it starts or stops"],
     ["Last reload", `${reload.successful ? "successful" : reload.error ? "failed" : "in force in part"}; ${inForce}`],
     ["Confinement", off ? `off ${why}` : `${on} of ${sandbox.length} layers on: ${layers.join(", ")}`],
+    ["In the kernel", inTheKernel(offload, flows)],
     ["Size", `${whole.format(status.public_ports)} public ports, ${whole.format(status.workers)} ${status.workers === 1 ? "worker" : "workers"}`],
     ["Stray answers",
       `${whole.format(status.stray_responses.received_datagrams)} datagrams from the plant belong to no node of the table`],

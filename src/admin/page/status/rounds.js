@@ -27,7 +27,7 @@ async function poll() {
   showTiles(time, status, states, dropped);
   showNets(time, states, status);
   showDrops(time, { ...dropped, ...kernel });
-  showRelay(status);
+  showRelay(status, states);
   // Only then what asks for more.
   if (filterWords.length) await applyFilter();
   await showPlots(time);
