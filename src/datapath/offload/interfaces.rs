@@ -19,8 +19,9 @@ use crate::config::Config;
 use crate::datapath::socket::port_pool::Ports;
 use crate::datapath::socket::sys::options;
 
-/// The kind of an interface whose frames have hardware addresses (`ARPHRD_ETHER`).
+/// The kinds of interfaces whose frames have hardware addresses (`ARPHRD_ETHER`, `ARPHRD_LOOPBACK`).
 const ETHERNET: u16 = 1;
+const LOOPBACK: u16 = 772;
 /// Changes come in groups; within this time they count as one.
 const PAUSE: Duration = Duration::from_millis(200);
 
@@ -48,7 +49,7 @@ impl Wanted {
     }
 
     /// The interfaces as they are now: those that have a public address, and those that lead to the nodes.
-    /// Those whose frames have no hardware addresses are left out: tunnels, and loopback.
+    /// Those whose frames have no hardware addresses are left out: tunnels.
     pub(super) fn interfaces(&self, ports: &Arc<Ports>) -> BTreeSet<Interface> {
         let Ok(all) = getifaddrs() else { return BTreeSet::new() };
         let all: Vec<_> = all.collect();
@@ -67,8 +68,12 @@ impl Wanted {
             let link = *entry.address?.as_link_addr()?;
             Some((entry.interface_name.clone(), link.hatype(), link.ifindex()))
         });
-        let ethernet = links.filter(|(name, kind, _)| *kind == ETHERNET && has_it(name));
-        ethernet.map(|(name, _, index)| Interface { index: index as u32, name }).collect()
+        let wanted_ones = links.filter(|(name, kind, _)| match *kind {
+            ETHERNET => has_it(name),
+            LOOPBACK => wanted.iter().any(IpAddr::is_loopback),
+            _ => false,
+        });
+        wanted_ones.map(|(name, _, index)| Interface { index: index as u32, name }).collect()
     }
 }
 
