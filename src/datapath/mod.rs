@@ -17,6 +17,8 @@ mod throttlings;
 
 pub use active_config::ActiveConfig;
 pub use last_reload::LastReload;
+#[cfg(any(test, fuzzing))]
+pub use offload::holds as offload_holds;
 pub use offload::{OffloadError, OffloadState};
 pub use reload::{Reloaded, Stopping};
 #[cfg(feature = "cli")]

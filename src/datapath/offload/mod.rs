@@ -17,6 +17,8 @@ mod places;
 mod program;
 #[cfg(test)]
 mod tests;
+#[cfg(any(test, fuzzing))]
+mod trial;
 
 use std::collections::BTreeMap;
 use std::io;
@@ -38,6 +40,8 @@ use crate::thread::{self, ThreadError};
 pub(in crate::datapath) use carrier::Carrier;
 pub(in crate::datapath) use interfaces::Changes;
 pub(in crate::datapath) use layout::KernelFlow;
+#[cfg(any(test, fuzzing))]
+pub use trial::holds;
 
 use interfaces::{Interface, Wanted};
 use layout::{Key, entry};

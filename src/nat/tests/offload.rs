@@ -206,8 +206,9 @@ fn what_passes_there_is_seen_here() {
     world.pass(Duration::from_secs(200));
     let shared = world.shared();
     shared.last_used.store(world.nanos(start), Relaxed);
-    [(&shared.requests, 7), (&shared.responses, 6), (&shared.octets, 400)]
-        .map(|(figure, count)| figure.store(count, Relaxed));
+    for (figure, count) in [(&shared.requests, 7), (&shared.responses, 6), (&shared.octets, 400)] {
+        figure.store(count, Relaxed);
+    }
     let before = world.the_flow();
     assert_eq!(before.idle, Duration::ZERO);
     let FlowTraffic { requests, responses, octets } = before.traffic;

@@ -52,7 +52,7 @@ pub(in crate::datapath) mod command {
 
 const CREATE_MAP: libc::c_int = 0;
 const LOAD: libc::c_int = 5;
-#[cfg(test)]
+#[cfg(any(test, fuzzing))]
 const TEST_RUN: libc::c_int = 10;
 
 #[derive(Default)]
@@ -236,7 +236,7 @@ pub(in crate::datapath) fn link(
 
 /// Runs a program on a frame that came in by the loopback interface. Returns its result and the frame as the
 /// program has left it.
-#[cfg(test)]
+#[cfg(any(test, fuzzing))]
 pub(in crate::datapath) fn test_run(
     program: BorrowedFd<'_>,
     frame: &[u8],
