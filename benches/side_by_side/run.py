@@ -34,6 +34,9 @@ SCENARIOS = {
     "thin-1cpu": dict(
         about="the same with everything on one core", nodes=16, load=["--sockets", 256],
         cpus="0:0:0"),
+    "many": dict(
+        about="16 nodes, 16,000 flows, 1 request under way in each", nodes=16,
+        load=["--sockets", 16000]),
     "open": dict(
         about="16 nodes, 64 flows, 30,000 requests/s whatever comes back", nodes=16,
         load=["--sockets", 64, "--rate", 30000]),

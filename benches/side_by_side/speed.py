@@ -11,14 +11,16 @@ from pathlib import Path
 
 import report
 
-SYSTEMS = {"pnet-nat": "pnet-nat", "nginx": "nginx stream", "ideal": "ideal: no checks, no limits",
+OWN = ("pnet-nat-kernel", "pnet-nat")
+SYSTEMS = {"pnet-nat-kernel": "pnet-nat, flows in the kernel", "pnet-nat": "pnet-nat on sockets",
+           "nginx": "nginx stream", "ideal": "ideal: no checks, no limits",
            "nft-nat": "kernel NAT (nftables)"}
 PANELS = (
     ("throughput", "Round trips, nginx = 1", "64 flows × 16 requests under way", " ×"),
     ("thin", "Round trips, nginx = 1", "256 flows × 1 request under way", " ×"),
     ("flood_lost_percent", "Good requests lost in a flood", "256 ports send wrong passwords", " %"),
 )
-LEFT, PANEL, GAP, TOP, BAR = 190, 190, 40, 60, 30
+LEFT, PANEL, GAP, TOP, BAR = 210, 190, 40, 60, 30
 STYLE = """
   text { font: 13px system-ui, sans-serif; fill: #1f2328; }
   .title { font-weight: 600; }
@@ -58,7 +60,7 @@ def draw(figures):
     yield f"<style>{STYLE}</style>"
     for row, name in enumerate(systems):
         y = TOP + BAR * row
-        yield text(LEFT - 12, y + 16, SYSTEMS[name], "title" if name == "pnet-nat" else "", "end")
+        yield text(LEFT - 12, y + 16, SYSTEMS[name], "title" if name in OWN else "", "end")
     for column, (key, title, about, unit) in enumerate(PANELS):
         x = LEFT + column * (PANEL + GAP)
         most = max(figures["systems"][name][key] for name in systems) or 1
@@ -67,10 +69,10 @@ def draw(figures):
         for row, name in enumerate(systems):
             value = figures["systems"][name][key]
             y, long = TOP + BAR * row, (PANEL - 46) * value / most
-            kind = "own" if name == "pnet-nat" else "bar"
+            kind = "own" if name in OWN else "bar"
             yield f'<rect class="{kind}" x="{x}" y="{y}" width="{long:.1f}" height="22"/>'
             shown = f"{value:.2f}" if unit == " ×" else f"{value:.0f}"
-            yield text(x + long + 6, y + 16, shown + unit, "title" if name == "pnet-nat" else "")
+            yield text(x + long + 6, y + 16, shown + unit, "title" if name in OWN else "")
         yield f'<line class="axis" x1="{x}" x2="{x}" y1="{TOP - 6}" y2="{TOP + BAR * len(systems)}"/>'
     yield text(12, height - 10, figures["conditions"], "dim")
     yield "</svg>\n"

@@ -154,9 +154,12 @@ SYSTEMS = {
         about="the same with a filter in the kernel for header and password",
         program="idealrelay", commands=ideal("--filter")),
     "pnet-nat": dict(
-        about="this project: every datagram checked", program="pnet-nat",
-        files=pnet_nat(), commands=run_pnet_nat),
+        about="this project on sockets: every datagram checked", program="pnet-nat",
+        files=pnet_nat('kernel = "off"'), commands=run_pnet_nat),
+    "pnet-nat-kernel": dict(
+        about="the same with open flows in the kernel", program="pnet-nat",
+        files=pnet_nat('kernel = "required"'), commands=run_pnet_nat),
     "pnet-nat-busy": dict(
-        about='the same with busy_poll = "100us"', program="pnet-nat",
-        files=pnet_nat('busy_poll = "100us"'), commands=run_pnet_nat),
+        about='on sockets with busy_poll = "100us"', program="pnet-nat",
+        files=pnet_nat('kernel = "off"\nbusy_poll = "100us"'), commands=run_pnet_nat),
 }

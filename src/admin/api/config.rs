@@ -31,6 +31,7 @@ struct ConfigInForce<'a> {
     wrong_password_interval_seconds: f64,
     audit_lines: u32,
     prefilter: &'static str,
+    kernel: &'static str,
     busy_poll_seconds: f64,
     /// Null: the user that started the relay.
     user: Option<&'a str>,
@@ -77,6 +78,7 @@ impl<'a> ConfigInForce<'a> {
             wrong_password_interval_seconds: limits.wrong_password_interval.as_secs_f64(),
             audit_lines: log.audit_lines,
             prefilter: datapath.prefilter.label(),
+            kernel: datapath.kernel.label(),
             busy_poll_seconds: datapath.busy_poll.as_secs_f64(),
             user: runtime.user.as_deref(),
             workers: runtime.workers.map(usize::from),

@@ -6,7 +6,7 @@ use std::os::fd::AsFd;
 use std::sync::Arc;
 
 use super::Offload;
-use super::layout::{Entry, Key};
+use super::layout::{Entry, KernelFlow, Key};
 use crate::datapath::socket::port_pool::Ports;
 use crate::datapath::socket::sys::{bpf, options};
 use crate::nat::{Counters, Direction, Lent, Offer, SharedFlow};
@@ -45,8 +45,8 @@ impl Carrier {
         let own: IpAddr = options::source_towards(offer.server, ports).ok()?;
         let upstream = ipv4(SocketAddr::new(own, offer.upstream_port))?;
         let shared = self.offload.flows.lend()?;
+        self.flow(shared.place()).set_password(*offer.password.octets());
         let entry = |direction, comes, leaves| Entry {
-            password: *offer.password.octets(),
             header: offer.header.0,
             comes,
             leaves,
@@ -61,10 +61,9 @@ impl Carrier {
         let response = entry(Direction::Response, key(server, upstream), key(public, client));
         let keys = [&request, &response].map(|entry| entry.comes);
         for entry in [request, response] {
-            let octets = entry.to_octets();
             let map = self.offload.entries.as_fd();
-            if bpf::update(map, &entry.comes.to_octets(), &octets.0).is_err() {
-                self.remove(keys);
+            if bpf::update(map, &entry.comes.to_octets(), &entry.to_octets()).is_err() {
+                self.remove(shared.place(), keys);
                 return None;
             }
         }
@@ -75,11 +74,16 @@ impl Carrier {
     /// Has the kernel let go of the flow with this place.
     pub(in crate::datapath) fn let_go(&mut self, place: u32) {
         if let Some(keys) = self.keys.remove(&place) {
-            self.remove(keys);
+            self.remove(place, keys);
         }
     }
 
-    fn remove(&self, keys: [Key; 2]) {
+    fn flow(&self, place: u32) -> &KernelFlow {
+        &self.offload.flows.all()[place as usize]
+    }
+
+    fn remove(&self, place: u32, keys: [Key; 2]) {
+        self.flow(place).wipe();
         for key in keys {
             // An error: it is not there.
             let _ = bpf::delete(self.offload.entries.as_fd(), &key.to_octets());

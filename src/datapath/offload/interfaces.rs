@@ -70,7 +70,7 @@ impl Wanted {
         });
         let wanted_ones = links.filter(|(name, kind, _)| match *kind {
             ETHERNET => has_it(name),
-            LOOPBACK => wanted.iter().any(IpAddr::is_loopback),
+            LOOPBACK => wanted.iter().any(|address| address.is_ipv4() && address.is_loopback()),
             _ => false,
         });
         wanted_ones.map(|(name, _, index)| Interface { index: index as u32, name }).collect()

@@ -4,8 +4,8 @@
 //! An entry is one direction of a flow. Its key is found in a datagram as it comes in, and it says how the
 //! datagram has to look when it leaves. Programs never write to an entry.
 
-use std::hint;
 use std::net::SocketAddrV4;
+use std::sync::atomic::Ordering::Relaxed;
 use std::sync::atomic::{AtomicU32, AtomicU64};
 
 use crate::nat::{Direction, SharedFlow};
@@ -29,7 +29,27 @@ pub(super) struct WayOut {
     pub(super) hardware: [AtomicU32; 3],
     /// The index of the interface.
     pub(super) interface: AtomicU32,
-    _unused: AtomicU64,
+    /// The one password that passes. It is here, and not in the entry, because here it can be wiped.
+    pub(super) password: AtomicU64,
+}
+
+impl KernelFlow {
+    /// Sets the password of both directions.
+    pub(super) fn set_password(&self, octets: [u8; 8]) {
+        let password = u64::from_ne_bytes(octets);
+        self.ways.iter().for_each(|way| way.password.store(password, Relaxed));
+    }
+
+    /// Nothing passes any more, and the password is gone.
+    pub(super) fn wipe(&self) {
+        self.end_leases();
+        self.set_password([0; 8]);
+    }
+
+    /// Nothing passes until a datagram has taken the long way.
+    pub(super) fn end_leases(&self) {
+        self.ways.iter().for_each(|way| way.lease.store(0, Relaxed));
+    }
 }
 
 /// Addresses and ports of a datagram, in the order and the octets of its headers.
@@ -59,8 +79,6 @@ fn ports(source: SocketAddrV4, destination: SocketAddrV4) -> [u8; 4] {
 
 /// One direction of a flow.
 pub(super) struct Entry {
-    /// The one password that passes.
-    pub(super) password: [u8; 8],
     pub(super) header: [u8; 4],
     pub(super) comes: Key,
     pub(super) leaves: Key,
@@ -76,23 +94,22 @@ pub(super) struct Entry {
 
 /// Offsets in an entry. Numbers are in the byte order of the processor, what stands in headers in theirs.
 pub(super) mod entry {
-    pub(in crate::datapath::offload) const PASSWORD: i16 = 0;
     /// Source and destination.
-    pub(in crate::datapath::offload) const ADDRESSES: i16 = 8;
-    pub(in crate::datapath::offload) const PORTS: i16 = 16;
-    pub(in crate::datapath::offload) const HEADER: i16 = 20;
+    pub(in crate::datapath::offload) const ADDRESSES: i16 = 0;
+    pub(in crate::datapath::offload) const PORTS: i16 = 8;
+    pub(in crate::datapath::offload) const HEADER: i16 = 12;
     /// What is added to the UDP checksum for the addresses, and for the ports.
-    pub(in crate::datapath::offload) const ADDRESSES_CHANGE: i16 = 24;
-    pub(in crate::datapath::offload) const PORTS_CHANGE: i16 = 28;
+    pub(in crate::datapath::offload) const ADDRESSES_CHANGE: i16 = 16;
+    pub(in crate::datapath::offload) const PORTS_CHANGE: i16 = 20;
     /// The sum over the new IP header without its total length.
-    pub(in crate::datapath::offload) const IP_SUM: i16 = 32;
-    pub(in crate::datapath::offload) const FLOW: i16 = 36;
-    pub(in crate::datapath::offload) const NODE: i16 = 40;
-    pub(in crate::datapath::offload) const CREDENTIAL: i16 = 44;
+    pub(in crate::datapath::offload) const IP_SUM: i16 = 24;
+    pub(in crate::datapath::offload) const FLOW: i16 = 28;
+    pub(in crate::datapath::offload) const NODE: i16 = 32;
+    pub(in crate::datapath::offload) const CREDENTIAL: i16 = 36;
     /// The second octet of the route; for a response, [`ANY_NODE`].
-    pub(in crate::datapath::offload) const NODE_ADDRESS: i16 = 48;
-    pub(in crate::datapath::offload) const DIRECTION: i16 = 49;
-    pub(in crate::datapath::offload) const LEN: usize = 56;
+    pub(in crate::datapath::offload) const NODE_ADDRESS: i16 = 40;
+    pub(in crate::datapath::offload) const DIRECTION: i16 = 41;
+    pub(in crate::datapath::offload) const LEN: usize = 44;
 
     /// No node address: an octet of a source.
     pub(in crate::datapath::offload) const ANY_NODE: u8 = 0xFF;
@@ -104,25 +121,14 @@ pub(super) const VERSION_AND_SERVICE: [u8; 2] = [0x45, 0];
 pub(super) const NUMBER_AND_FRAGMENT: [u8; 4] = [0, 0, 0x40, 0];
 pub(super) const LIFE_AND_PROTOCOL: [u8; 2] = [64, 17];
 
-/// The octets of an entry. They are wiped when they are dropped, for a password is in them.
-pub(super) struct EntryOctets(pub(super) [u8; entry::LEN]);
-
-impl Drop for EntryOctets {
-    fn drop(&mut self) {
-        self.0.fill(0);
-        hint::black_box(&self.0);
-    }
-}
-
 impl Entry {
-    pub(super) fn to_octets(&self) -> EntryOctets {
+    pub(super) fn to_octets(&self) -> [u8; entry::LEN] {
         let Self { comes, leaves, .. } = self;
         let [was, is] = [comes, leaves].map(|key| key.to_octets());
-        let mut all = EntryOctets([0; entry::LEN]);
+        let mut all = [0; entry::LEN];
         let mut put = |at: i16, octets: &[u8]| {
-            all.0[at as usize..][..octets.len()].copy_from_slice(octets);
+            all[at as usize..][..octets.len()].copy_from_slice(octets);
         };
-        put(entry::PASSWORD, &self.password);
         put(entry::ADDRESSES, &is[..8]);
         put(entry::PORTS, &is[8..]);
         put(entry::HEADER, &self.header);

@@ -23,7 +23,6 @@ mod trial;
 use std::collections::BTreeMap;
 use std::io;
 use std::os::fd::{AsFd, OwnedFd};
-use std::sync::atomic::Ordering::Relaxed;
 use std::sync::{Arc, Mutex};
 use std::time::Instant;
 
@@ -67,7 +66,7 @@ pub enum OffloadError {
     #[error("it needs Linux 6.6 or newer, with tcx")]
     Kernel,
     /// There is nowhere to run.
-    #[error("no Ethernet interface has an address of [public] listen, or leads to the nodes")]
+    #[error("no Ethernet interface has an IPv4 address of [public] listen, or leads to the nodes")]
     NoInterface,
     /// The kernel refused something else.
     #[error("{0}: {1}")]
@@ -231,8 +230,7 @@ impl Offload {
 
     /// Has the next datagram of every flow take the long way.
     fn end_leases(&self) {
-        let ways = self.flows.all().iter().flat_map(|flow| &flow.ways);
-        ways.for_each(|way| way.lease.store(0, Relaxed));
+        self.flows.all().iter().for_each(KernelFlow::end_leases);
     }
 
     /// Starts a thread that follows changes of interfaces, addresses and routes.

@@ -6,7 +6,6 @@
 use std::collections::VecDeque;
 use std::io;
 use std::os::fd::{AsFd, BorrowedFd};
-use std::sync::atomic::Ordering::Relaxed;
 use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::{Duration, Instant};
 
@@ -102,8 +101,6 @@ macro_rules! lend {
     };
 }
 
-lend!(KernelFlow as SharedFlow, |flow| &flow.shared, |flow| {
-    flow.ways.iter().for_each(|way| way.lease.store(0, Relaxed));
-});
+lend!(KernelFlow as SharedFlow, |flow| &flow.shared, KernelFlow::wipe);
 lend!(NodeCounters as NodeCounters, |node| node, |node| node.clear(&Writer::of_worker()));
 lend!(Counter as Counter, |counter| counter, |counter| counter.set(&Writer::of_worker(), 0));

@@ -354,8 +354,9 @@ fn check_payload(p: &mut Program, otherwise: Label) {
     p.alu(Add, R4, i32::from(frame::PAYLOAD));
     p.load(U32, R2, R6, packet::DATA_END);
     p.jump_if(Greater, R4, R2, otherwise);
+    way(p, R4, false);
+    p.load(U64, R4, R4, WAYS + offset_of!(WayOut, password) as i16);
     p.load(U64, R2, R3, frame::PAYLOAD - 8);
-    p.load(U64, R4, R8, entry::PASSWORD);
     p.jump_if(NotEqual, R2, R4, otherwise);
 }
 

@@ -1,6 +1,7 @@
 //! The programs on frames that a test makes. Needs the right to load programs.
 
 use std::net::SocketAddrV4;
+use std::sync::atomic::Ordering::Relaxed;
 
 use super::trial::*;
 use super::*;

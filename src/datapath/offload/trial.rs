@@ -3,6 +3,7 @@
 
 use std::cell::RefCell;
 use std::net::{Ipv4Addr, SocketAddr, SocketAddrV4};
+use std::sync::atomic::Ordering::Relaxed;
 use std::time::Duration;
 
 use super::layout::Entry;
@@ -85,32 +86,23 @@ impl Trial {
         let lender = Arc::clone(&offload) as Arc<dyn SharedCounters>;
         let counters = Arc::new(Counters::of_offload(&table, lender));
         let shared = offload.flows.lend().unwrap();
+        offload.flows.all()[shared.place() as usize].set_password(*PASSWORD);
         let [node, credential] = counters.places(MappingId(0), NetId(0), 0).unwrap();
         let entry = |direction, comes: [SocketAddrV4; 2], leaves: [SocketAddrV4; 2]| {
             let key = |[source, destination]: [SocketAddrV4; 2]| Key { source, destination };
             let (comes, leaves) = (key(comes), key(leaves));
-            let (flow, password) = (shared.place(), *PASSWORD);
+            let flow = shared.place();
             let header = Header::default().0;
             let node_address = NODE;
-            Entry {
-                password,
-                header,
-                comes,
-                leaves,
-                direction,
-                node_address,
-                flow,
-                node,
-                credential,
-            }
+            Entry { header, comes, leaves, direction, node_address, flow, node, credential }
         };
         let entries = [
             entry(Direction::Request, [CLIENT, PUBLIC], [UPSTREAM, SERVER]),
             entry(Direction::Response, [SERVER, UPSTREAM], [PUBLIC, CLIENT]),
         ];
         for entry in &entries {
-            let octets = entry.to_octets();
-            bpf::update(offload.entries.as_fd(), &entry.comes.to_octets(), &octets.0).unwrap();
+            let (key, value) = (entry.comes.to_octets(), entry.to_octets());
+            bpf::update(offload.entries.as_fd(), &key, &value).unwrap();
         }
         let both = Self { offload, counters, core, now, via: to.via, shared, entries };
         both.lend_way(u64::MAX, LOOPBACK);

@@ -67,6 +67,7 @@ fn a_host_that_is_switched_off() {
         }
         sections.only_section_1_is_hurt(30);
         eventually("the kernel gives up", || {
+            sections.client.send(sections.section_1(), &request(4)); // not all of them ask for the address
             let neighbours = sections.network.edge.output(&["ip", "neighbour"]);
             let gone = |line: &str| line.starts_with("172.17.17.4 ") && line.ends_with("FAILED ");
             neighbours.lines().any(gone).then_some(())

@@ -1,6 +1,7 @@
 //! A running relay: its configuration, and how it looks from outside.
 
 use std::collections::BTreeMap;
+use std::env;
 use std::fs::{self, Permissions};
 use std::net::{Ipv4Addr, SocketAddr};
 use std::os::unix::fs::PermissionsExt;
@@ -47,6 +48,20 @@ impl Default for Settings<'_> {
             sections: "",
             descriptors: None,
         }
+    }
+}
+
+/// The configuration with flows in the kernel switched off, if it does not say otherwise: with
+/// `PNET_NAT_TESTS_KERNEL=off` all relays carry datagrams on sockets alone. Without it, they have the kernel
+/// carry flows where it can.
+fn on_the_path(configuration: &str) -> String {
+    let is_off = env::var("PNET_NAT_TESTS_KERNEL").is_ok_and(|path| path == "off");
+    if !is_off || configuration.contains("\nkernel = ") {
+        return configuration.to_owned();
+    }
+    match configuration.split_once("[datapath]\n") {
+        Some((before, after)) => format!("{before}[datapath]\nkernel = \"off\"\n{after}"),
+        None => format!("{configuration}\n[datapath]\nkernel = \"off\"\n"),
     }
 }
 
@@ -176,7 +191,7 @@ impl Relay {
         admin: SocketAddr,
         command: impl FnOnce(&[&str]) -> Command,
     ) -> Self {
-        let folder = folder(configuration);
+        let folder = folder(&on_the_path(configuration));
         let config = folder.path().join("pnet-nat.toml");
         let command = command(&["run", "--config", config.to_str().unwrap()]);
         let mut relay = Self { process: Process::start(command), admin, folder };
@@ -189,6 +204,7 @@ impl Relay {
 
     /// Writes another configuration into the relay's file, for the next reload.
     pub fn configure(&self, configuration: &str) {
+        let configuration = on_the_path(configuration);
         fs::write(self.folder.path().join("pnet-nat.toml"), configuration).unwrap();
     }
 
