@@ -37,6 +37,7 @@ mod loops;
 mod moving;
 mod namespaces;
 mod nat;
+mod offload;
 mod package;
 mod password;
 mod probe;

@@ -351,7 +351,7 @@ fn what_cannot_come_into_force_is_named_and_all_else_does() {
     for (wrong, what, why) in [
         (one.replace("workers = 1", "workers = 2"), "[runtime] workers", "until a restart"),
         (one.replace("[runtime]", "[runtime]\nuser = \"nobody\""), "[runtime] user", "restart"),
-        (one.clone() + "\n[datapath]\nkernel = \"off\"\n", "[datapath] kernel", "until a restart"),
+        (one.clone() + "\n[datapath]\nkernel = \"required\"\n", "[datapath] kernel", "a restart"),
         (one.replace(":9378", ":9379"), "[admin] listen", "until a restart"),
         (one.replace("[admin]", "[admin]\nenabled = false"), "[admin] enabled", "a restart"),
         (

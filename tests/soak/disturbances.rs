@@ -4,7 +4,7 @@
 use std::fs;
 use std::net::{Ipv4Addr, SocketAddr};
 use std::ops::Range;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::Command;
 use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
 use std::time::{Duration, Instant};
@@ -14,8 +14,8 @@ use serde_json::Value;
 
 use crate::clients::{CLIENTS_OF_A_KIND, Clients};
 use crate::harness::{
-    FIGURE_10, Network, PASSWORD, Peer, Process, Relay, WRONG, datagram, eventually, pause,
-    pnet_nat,
+    FIGURE_10, Network, PASSWORD, Peer, Process, Relay, WRONG, datagram, eventually, on_the_path,
+    pause, pnet_nat,
 };
 
 pub(crate) const PUBLIC: Ipv4Addr = Ipv4Addr::new(198, 51, 100, 1);
@@ -51,7 +51,6 @@ fn configuration(whole: bool, round: usize) -> String {
 [[udp_range_net.password]]
 name = "team-2"
 file = "secrets/press"
-device_file = "secrets/section-1"
 "#;
     let team_2 = if whole { team_2 } else { "" };
     let server = |name: &str, public_port: u16, node_address: u8, idle_timeout: &str| {
@@ -71,7 +70,7 @@ file = "secrets/section-1"
         )
     };
     let (press, mixer) = (server("press", 20_200, 3, "4s"), server("mixer", 40_300, 33, "5m"));
-    format!(
+    on_the_path(&format!(
         r#"
 [public]
 listen = ["{PUBLIC}"]
@@ -106,7 +105,7 @@ allow = ["198.51.100.0/24"]
 name = "service"
 file = "secrets/section-1"
 "#
-    )
+    ))
 }
 
 pub(crate) fn start_relay() -> Relay {
@@ -223,7 +222,7 @@ fn replace(path: &Path, octets: &[u8]) {
 /// The nodes: those that stay up, and number 33.
 pub(crate) struct Plant<'a> {
     network: &'a Network,
-    password: PathBuf,
+    passwords: String,
     _steady: Process,
     node_33: Process,
     /// From when to when node 33 was down.
@@ -232,10 +231,12 @@ pub(crate) struct Plant<'a> {
 
 impl<'a> Plant<'a> {
     pub(crate) fn start(network: &'a Network, folder: &Path) -> Self {
-        let password = folder.join("secrets/section-1");
-        let steady = start_nodes(network, "172.17.17.1-4", 4, &password);
-        let node_33 = start_nodes(network, "172.17.17.33", 1, &password);
-        Self { network, password, _steady: steady, node_33, downtimes: Vec::new() }
+        let secrets = folder.join("secrets");
+        let passwords = ["section-1", "press"].map(|file| secrets.join(file).display().to_string());
+        let passwords = passwords.join(",");
+        let steady = start_nodes(network, "172.17.17.1-4", 4, &passwords);
+        let node_33 = start_nodes(network, "172.17.17.33", 1, &passwords);
+        Self { network, passwords, _steady: steady, node_33, downtimes: Vec::new() }
     }
 
     /// Node 33 loses power and comes back.
@@ -243,14 +244,13 @@ impl<'a> Plant<'a> {
         let from = Instant::now();
         self.node_33.signal(Signal::SIGKILL);
         self.node_33.end();
-        self.node_33 = start_nodes(self.network, "172.17.17.33", 1, &self.password);
+        self.node_33 = start_nodes(self.network, "172.17.17.33", 1, &self.passwords);
         self.downtimes.push(from..Instant::now());
     }
 }
 
-fn start_nodes(network: &Network, listen: &str, count: usize, password: &Path) -> Process {
-    let password = password.to_str().unwrap();
-    let arguments = ["node", "--listen", listen, "--password-file", password];
+fn start_nodes(network: &Network, listen: &str, count: usize, passwords: &str) -> Process {
+    let arguments = ["node", "--listen", listen, "--password-file", passwords];
     let nodes = network.plant.enter(|| Process::start(pnet_nat(&arguments)));
     eventually("the nodes are there", || (nodes.stdout().lines().count() == count).then_some(()));
     nodes

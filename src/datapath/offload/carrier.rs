@@ -4,6 +4,7 @@ use std::collections::HashMap;
 use std::net::{IpAddr, SocketAddr, SocketAddrV4};
 use std::os::fd::AsFd;
 use std::sync::Arc;
+use std::sync::atomic::Ordering::Relaxed;
 
 use super::Offload;
 use super::layout::{Entry, KernelFlow, Key};
@@ -19,11 +20,13 @@ pub(in crate::datapath) struct Carrier {
     counters: Arc<Counters>,
     /// By place, how the datagrams of both directions come in.
     keys: HashMap<u32, [Key; 2]>,
+    /// The addresses of this machine towards servers, as they were when `offload.sources` had this value.
+    sources: (u32, HashMap<IpAddr, IpAddr>),
 }
 
 impl Carrier {
     pub(in crate::datapath) fn new(offload: Arc<Offload>, counters: Arc<Counters>) -> Self {
-        Self { offload, counters, keys: HashMap::new() }
+        Self { offload, counters, keys: HashMap::new(), sources: Default::default() }
     }
 
     /// Goes over to the counters for another table.
@@ -42,7 +45,7 @@ impl Carrier {
         let client = ipv4(offer.client)?;
         let public = ipv4(SocketAddr::new(offer.public_address, offer.public_port))?;
         let server = ipv4(offer.server)?;
-        let own: IpAddr = options::source_towards(offer.server, ports).ok()?;
+        let own = self.source_towards(offer.server, ports)?;
         let upstream = ipv4(SocketAddr::new(own, offer.upstream_port))?;
         let shared = self.offload.flows.lend()?;
         self.flow(shared.place()).set_password(*offer.password.octets());
@@ -68,13 +71,32 @@ impl Carrier {
             }
         }
         self.keys.insert(shared.place(), keys);
+        self.offload.set_lease();
         Some(shared)
+    }
+
+    /// The address of this machine that the kernel picks towards a server. If it picks another one for the
+    /// datagrams, none of them takes the short way.
+    fn source_towards(&mut self, server: SocketAddr, ports: &Arc<Ports>) -> Option<IpAddr> {
+        let Self { offload, sources: (as_of, sources), .. } = self;
+        let latest = offload.sources.load(Relaxed);
+        if *as_of != latest {
+            sources.clear();
+            *as_of = latest;
+        }
+        if let Some(known) = sources.get(&server.ip()) {
+            return Some(*known);
+        }
+        let own = options::source_towards(server, ports).ok()?;
+        sources.insert(server.ip(), own);
+        Some(own)
     }
 
     /// Has the kernel let go of the flow with this place.
     pub(in crate::datapath) fn let_go(&mut self, place: u32) {
         if let Some(keys) = self.keys.remove(&place) {
             self.remove(place, keys);
+            self.offload.set_lease();
         }
     }
 

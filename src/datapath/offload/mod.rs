@@ -23,6 +23,8 @@ mod trial;
 use std::collections::BTreeMap;
 use std::io;
 use std::os::fd::{AsFd, OwnedFd};
+use std::sync::atomic::AtomicU32;
+use std::sync::atomic::Ordering::Relaxed;
 use std::sync::{Arc, Mutex};
 use std::time::Instant;
 
@@ -33,7 +35,8 @@ use crate::config::{Config, KernelFlows};
 use crate::datapath::router::lock;
 use crate::datapath::socket::port_pool::Ports;
 use crate::datapath::socket::sys::bpf::{self, MapKind, Place};
-use crate::nat::{Counter, Lent, NodeCounters, SharedCounters, Table};
+use crate::datapath::socket::sys::shared_memory::SharedArray;
+use crate::nat::{Counter, Lent, NodeCounters, SharedCounters, Table, Writer};
 use crate::thread::{self, ThreadError};
 
 pub(in crate::datapath) use carrier::Carrier;
@@ -52,6 +55,13 @@ use program::Maps;
 const SPARE: usize = 128;
 /// The most flows that the kernel carries: 8 MB.
 const MOST_FLOWS: usize = 1 << 16;
+
+/// A lease lasts so long, or a quarter less. Within this time, one datagram of each direction takes the long
+/// way.
+const SHORTEST_LEASE: u64 = 2_000_000_000;
+/// With many flows it lasts so long for each of them: so some thousand datagrams a second take the long way, and
+/// not more.
+const LEASE_OF_A_FLOW: u64 = 500_000;
 
 /// Why the kernel carries no flows.
 #[derive(Debug, thiserror::Error)]
@@ -101,11 +111,15 @@ pub(in crate::datapath) struct Offload {
     flows: Arc<Places<KernelFlow>>,
     nodes: Arc<Places<NodeCounters>>,
     credentials: Arc<Places<Counter>>,
+    /// How long a lease lasts.
+    lease: SharedArray<Counter>,
     passing: OwnedFd,
     learning: OwnedFd,
     /// A map in a map: when it changes, the kernel waits until no program runs that saw it before.
     barrier: [OwnedFd; 2],
     links: Mutex<Links>,
+    /// Grows whenever the address towards a node may have changed.
+    sources: AtomicU32,
 }
 
 /// Where the programs run.
@@ -159,6 +173,7 @@ impl Offload {
     /// Has the programs run where they should by now. All datagrams take the long way first, by which they
     /// learn what has changed.
     fn follow_interfaces(&self, ports: &Arc<Ports>) {
+        self.sources.fetch_add(1, Relaxed);
         self.end_leases();
         let Links { wanted, attached } = &mut *lock(&self.links);
         let interfaces = wanted.interfaces(ports);
@@ -183,6 +198,7 @@ impl Offload {
         let credentials: usize = table.nets().iter().map(|net| net.credentials.len()).sum();
         let nodes = Arc::new(Places::new(table.mappings().len() + SPARE).map_err(&map)?);
         let credentials = Arc::new(Places::new(credentials + SPARE).map_err(&map)?);
+        let lease = SharedArray::new(1).map_err(&map)?;
         let inner = bpf::create_map(MapKind::Array, 4, 4, 1, None).map_err(&map)?;
         let outer = bpf::create_map(MapKind::ArrayOfMaps, 4, 4, 1, Some(inner.as_fd()));
         let barrier = [outer.map_err(&map)?, inner];
@@ -191,6 +207,7 @@ impl Offload {
             flows: flows.as_fd(),
             nodes: nodes.as_fd(),
             credentials: credentials.as_fd(),
+            lease: lease.as_fd(),
         };
         let start = clock_of(started);
         let passing = bpf::load(&program::passing(&maps, start), Place::Incoming, "pnet_nat_pass");
@@ -199,7 +216,26 @@ impl Offload {
         let program = OffloadError::of("a program");
         let (passing, learning) = (passing.map_err(&program)?, learning.map_err(&program)?);
         let links = Mutex::default();
-        Ok(Self { entries, flows, nodes, credentials, passing, learning, barrier, links })
+        let offload = Self {
+            entries,
+            flows,
+            nodes,
+            credentials,
+            lease,
+            passing,
+            learning,
+            barrier,
+            links,
+            sources: AtomicU32::new(0),
+        };
+        offload.set_lease();
+        Ok(offload)
+    }
+
+    /// Sets how long the next leases last.
+    fn set_lease(&self) {
+        let lease = (self.flows.lent() as u64 * LEASE_OF_A_FLOW).max(SHORTEST_LEASE);
+        self.lease.elements()[0].set(&Writer::of_worker(), lease);
     }
 
     fn attach(

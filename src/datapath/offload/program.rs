@@ -14,7 +14,7 @@
 use std::mem::offset_of;
 use std::os::fd::BorrowedFd;
 
-use super::assembler::Alu::{Add, And, Div, Mov, Or, Shl, Shr, Sub, Xor};
+use super::assembler::Alu::{Add, And, Div, Mov, Mul, Or, Shl, Shr, Sub, Xor};
 use super::assembler::If::{AnyBit, Equal, Greater, GreaterOrEqual, Less, NotEqual};
 use super::assembler::Width::{U8, U16, U32, U64};
 use super::assembler::{
@@ -35,6 +35,8 @@ pub(super) struct Maps<'a> {
     pub(super) flows: BorrowedFd<'a>,
     pub(super) nodes: BorrowedFd<'a>,
     pub(super) credentials: BorrowedFd<'a>,
+    /// How long a lease lasts, in nanoseconds: the one element.
+    pub(super) lease: BorrowedFd<'a>,
 }
 
 /// The program ends; the packet goes on its way through the kernel (`TCX_NEXT`).
@@ -100,10 +102,6 @@ const LONGEST_REMAINING: i32 = wire::MAX_ROUTE as i32 - 3;
 /// Octets of a secure datagram whose remaining-route-length and data size are 0.
 const SECURE: i32 = 4 + 3 + 2 + 8;
 
-/// A lease lasts from 1.5 s to 2 s, so that the flows of a moment do not renew theirs in one moment.
-const LEASE: i32 = 1_500_000_000;
-const LEASE_SPREAD: i32 = (1 << 29) - 1;
-
 const SOURCES: u64 = 0x8080_8080_8080_8080;
 
 /// Makes the program for the place where datagrams come in. `start` is the time of the kernel's clock that
@@ -155,10 +153,20 @@ pub(super) fn learning(maps: &Maps<'_>, start: u64) -> Vec<Instruction> {
     // The other direction of the flow comes in with the addresses the other way round.
     find(p, maps, [frame::DESTINATION, frame::SOURCE], over);
     time(p, start);
-    p.copy(R1, R0);
-    p.alu(And, R1, LEASE_SPREAD);
-    p.alu(Add, R1, R0);
-    p.alu(Add, R1, LEASE);
+    p.store_number(U32, STACK, INDEX, 0);
+    element(p, maps.lease, over);
+    // A quarter of it by chance, so that the flows of a moment do not renew theirs in one moment.
+    p.load(U64, R3, R0, 0);
+    p.load(U64, R1, STACK, NOW);
+    p.copy(R2, R1);
+    p.alu(And, R2, 0xFFFF);
+    p.copy(R4, R3);
+    p.alu(Shr, R4, 18);
+    p.alu(Mul, R2, R4);
+    p.alu(Add, R1, R2);
+    p.alu(Add, R1, R3);
+    p.alu(Shr, R3, 2);
+    p.alu(Sub, R1, R3);
     way(p, R9, true);
     let at = |field: usize| WAYS + field as i16;
     let (lease, interface) = (at(offset_of!(WayOut, lease)), at(offset_of!(WayOut, interface)));
@@ -264,6 +272,11 @@ fn find(p: &mut Program, maps: &Maps<'_>, [source, destination]: [i16; 2], other
 fn look_up(p: &mut Program, map: BorrowedFd<'_>, index: i16, otherwise: Label) {
     p.load(U32, R2, R8, index);
     p.store(U32, STACK, INDEX, R2);
+    element(p, map, otherwise);
+}
+
+/// Looks up the element whose index is on the stack. R0 is the element then.
+fn element(p: &mut Program, map: BorrowedFd<'_>, otherwise: Label) {
     p.map(R1, map);
     p.copy(R2, STACK);
     p.alu(Add, R2, i32::from(INDEX));

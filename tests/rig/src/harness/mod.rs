@@ -35,7 +35,7 @@ pub use octets::{
 pub use pcap::{frame, header, pcap, udp};
 pub use process::{Process, pnet_nat, pnet_nat_within};
 pub use profinet::{has_profinet_peers, profinet_peer};
-pub use relay::{ANNOTATED, Place, Relay, Settings, folder};
+pub use relay::{ANNOTATED, Place, Relay, Settings, folder, on_the_path};
 pub use site::{Peer, Site, close, exchange};
 pub use somebody::Somebody;
 pub use terminal::Terminal;

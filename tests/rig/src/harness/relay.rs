@@ -54,7 +54,7 @@ impl Default for Settings<'_> {
 /// The configuration with flows in the kernel switched off, if it does not say otherwise: with
 /// `PNET_NAT_TESTS_KERNEL=off` all relays carry datagrams on sockets alone. Without it, they have the kernel
 /// carry flows where it can.
-fn on_the_path(configuration: &str) -> String {
+pub fn on_the_path(configuration: &str) -> String {
     let is_off = env::var("PNET_NAT_TESTS_KERNEL").is_ok_and(|path| path == "off");
     if !is_off || configuration.contains("\nkernel = ") {
         return configuration.to_owned();
