@@ -12,10 +12,10 @@ use crate::harness::{
     FIGURE_10, Network, Process, WRONG, datagram, eventually, exchange, folder, left_out, pnet_nat,
 };
 
-const FILTER: &str = "deploy/fail2ban/filter.d/pnet-nat.conf";
-const JAIL: &str = "deploy/fail2ban/jail.d/pnet-nat.conf";
+pub(crate) const FILTER: &str = "deploy/fail2ban/filter.d/pnet-nat.conf";
+pub(crate) const JAIL: &str = "deploy/fail2ban/jail.d/pnet-nat.conf";
 
-fn is_there(program: &str) -> bool {
+pub(crate) fn is_there(program: &str) -> bool {
     let there = Command::new(program).arg("--version").output().is_ok();
     if !there {
         left_out(&format!("{program}, of the package fail2ban"));

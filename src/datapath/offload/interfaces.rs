@@ -50,9 +50,8 @@ impl Wanted {
 
     /// The interfaces as they are now: those that have a public address, and those that lead to the nodes.
     /// Those whose frames have no hardware addresses are left out: tunnels.
-    pub(super) fn interfaces(&self, ports: &Arc<Ports>) -> BTreeSet<Interface> {
-        let Ok(all) = getifaddrs() else { return BTreeSet::new() };
-        let all: Vec<_> = all.collect();
+    pub(super) fn interfaces(&self, ports: &Arc<Ports>) -> io::Result<BTreeSet<Interface>> {
+        let all: Vec<_> = getifaddrs()?.collect();
         let towards =
             self.servers.iter().flat_map(|&server| options::source_towards(server, ports));
         let wanted: BTreeSet<IpAddr> = self.listen.iter().copied().chain(towards).collect();
@@ -73,7 +72,7 @@ impl Wanted {
             LOOPBACK => wanted.iter().any(|address| address.is_ipv4() && address.is_loopback()),
             _ => false,
         });
-        wanted_ones.map(|(name, _, index)| Interface { index: index as u32, name }).collect()
+        Ok(wanted_ones.map(|(name, _, index)| Interface { index: index as u32, name }).collect())
     }
 }
 

@@ -22,13 +22,12 @@ mod trial;
 
 use std::collections::BTreeMap;
 use std::io;
-use std::os::fd::{AsFd, OwnedFd};
+use std::os::fd::{AsFd, AsRawFd, OwnedFd};
 use std::sync::atomic::AtomicU32;
 use std::sync::atomic::Ordering::Relaxed;
 use std::sync::{Arc, Mutex};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
-use nix::errno::Errno;
 use nix::time::{ClockId, clock_gettime};
 
 use crate::config::{Config, KernelFlows};
@@ -85,9 +84,9 @@ pub enum OffloadError {
 
 impl OffloadError {
     fn of(what: &'static str) -> impl Fn(io::Error) -> Self {
-        move |error| match error.raw_os_error() {
-            Some(libc::EPERM | libc::EACCES) => Self::Forbidden(what),
-            Some(libc::ENOSYS) => Self::Kernel,
+        move |error| match error.kind() {
+            io::ErrorKind::PermissionDenied => Self::Forbidden(what),
+            io::ErrorKind::Unsupported => Self::Kernel,
             _ => Self::System(what, error),
         }
     }
@@ -150,7 +149,7 @@ impl Offload {
         }
         let wanted = Wanted::of(config);
         let changes = Changes::new().map_err(OffloadError::of("a netlink socket"))?;
-        let interfaces = wanted.interfaces(ports);
+        let interfaces = wanted.interfaces(ports).map_err(OffloadError::of("the interfaces"))?;
         if interfaces.is_empty() {
             return Err(OffloadError::NoInterface);
         }
@@ -176,7 +175,10 @@ impl Offload {
         self.sources.fetch_add(1, Relaxed);
         self.end_leases();
         let Links { wanted, attached } = &mut *lock(&self.links);
-        let interfaces = wanted.interfaces(ports);
+        let interfaces = match wanted.interfaces(ports) {
+            Ok(interfaces) => interfaces,
+            Err(error) => return tracing::warn!(%error, "cannot ask for the interfaces"),
+        };
         attached
             .retain(|&index, at| interfaces.contains(&Interface { index, name: at.name.clone() }));
         for interface in interfaces {
@@ -258,7 +260,7 @@ impl Offload {
     /// Waits until no program runs that may have seen an entry that is gone.
     pub(in crate::datapath) fn wait_for_programs(&self) {
         let [outer, inner] = &self.barrier;
-        let inner = u32::try_from(std::os::fd::AsRawFd::as_raw_fd(inner)).unwrap_or_default();
+        let inner = u32::try_from(inner.as_raw_fd()).unwrap_or_default();
         if let Err(error) = bpf::update(outer.as_fd(), &[0; 4], &inner.to_ne_bytes()) {
             tracing::warn!(%error, "cannot wait for the programs in the kernel");
         }
@@ -299,10 +301,6 @@ impl SharedCounters for Offload {
 
 /// What the kernel's clock showed at this time.
 fn clock_of(time: Instant) -> u64 {
-    let clock = clock_gettime(ClockId::CLOCK_MONOTONIC);
-    let since = time.elapsed();
-    let now = std::time::Duration::from(
-        clock.unwrap_or_else(|_: Errno| nix::sys::time::TimeSpec::new(0, 0)),
-    );
-    u64::try_from(now.saturating_sub(since).as_nanos()).unwrap_or_default()
+    let now = clock_gettime(ClockId::CLOCK_MONOTONIC).map(Duration::from).unwrap_or_default();
+    u64::try_from(now.saturating_sub(time.elapsed()).as_nanos()).unwrap_or_default()
 }
