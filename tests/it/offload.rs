@@ -580,3 +580,34 @@ fn what_the_kernel_does_not_carry_goes_by_sockets() {
         relay.finish();
     });
 }
+
+/// The route to the client leads by another interface for a while, where the kernel carries nothing.
+#[test]
+fn another_route_is_taken() {
+    let Some(network) = Network::build() else { return };
+    network.at_the_edge(|| {
+        let relay = place(&network).relay(&settings());
+        let ends = Ends::new(&network);
+        let (edge, internet) = (&network.edge, &network.internet);
+        ends.expect_carried(&relay);
+        let name = edge.name();
+        internet.ip(&format!(
+            "link add wan1 type veth peer name wan1 netns {name}
+             link set wan1 up"
+        ));
+        edge.ip("link set wan1 up");
+        for interface in ["all", "eth0", "wan1"] {
+            for namespace in [internet, edge] {
+                let switch = format!("net.ipv4.conf.{interface}.rp_filter=0");
+                namespace.output(&["sysctl", "-w", &switch]);
+            }
+        }
+        let out = edge.output(&["cat", "/sys/class/net/wan1/statistics/tx_packets"]);
+        edge.ip("route add 198.51.100.7/32 dev wan1 src 198.51.100.1");
+        ends.expect_passage();
+        assert_ne!(edge.output(&["cat", "/sys/class/net/wan1/statistics/tx_packets"]), out);
+        edge.ip("route delete 198.51.100.7/32 dev wan1");
+        ends.expect_carried(&relay);
+        relay.finish();
+    });
+}
