@@ -315,7 +315,11 @@ file = "secrets/press"
 fn nothing_that_was_withdrawn_is_carried_after_the_reload() {
     let Some(network) = Network::build() else { return };
     let place = place(&network);
-    let with = place.configuration(&Settings { passwords: PASSWORDS, ..settings() });
+    // Who goes on asking with what is withdrawn is not to be throttled for it.
+    let limits = "[limits]\nwrong_password_burst = 65535\nwrong_password_interval = \"50ms\"";
+    let sections = format!("{REQUIRED}\n{limits}");
+    let settings = Settings { passwords: PASSWORDS, sections: &sections, ..Settings::default() };
+    let with = place.configuration(&settings);
     let (all, two) = (r#"["0.0.0.0/0", "::/0", "172.17.17.0/24"]"#, PASSWORDS);
     let one = two.split_inclusive("section-1\"").next().unwrap();
     for (what, is) in [(two, one), ("\"1-4\", 33", "\"1-3\", 33"), (all, r#"["198.51.100.8/32"]"#)]
