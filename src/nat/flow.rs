@@ -150,15 +150,20 @@ impl Offload {
     }
 }
 
+/// What a faster datapath has carried, if there is one.
+fn carried(shared: Option<&SharedFlow>) -> FlowTraffic {
+    shared.map(SharedFlow::traffic).unwrap_or_default()
+}
+
 impl Answers {
     /// Notes a request that wants an answer. `shared` is what a faster datapath has carried.
     pub(super) fn asked(&mut self, now: Nanos, shared: Option<&SharedFlow>) {
         let age = now.saturating_sub(self.noted);
         if age >= LOST_AFTER {
-            let so_far = self.asked + shared.map_or(0, |shared| shared.traffic().requests);
+            let FlowTraffic { requests, responses, .. } = carried(shared);
+            let so_far = self.asked + requests;
             let before = if age >= 2 * LOST_AFTER { so_far } else { self.asked_before };
-            let answered = self.answered + shared.map_or(0, |shared| shared.traffic().responses);
-            self.answered += before.saturating_sub(answered);
+            self.answered += before.saturating_sub(self.answered + responses);
             (self.asked_before, self.noted) = (so_far, now);
         }
         self.asked += 1;
@@ -185,8 +190,7 @@ impl Answers {
 
     /// How many answers may still come, or more.
     fn due(&self, shared: Option<&SharedFlow>) -> u64 {
-        let FlowTraffic { requests, responses, .. } =
-            shared.map(SharedFlow::traffic).unwrap_or_default();
+        let FlowTraffic { requests, responses, .. } = carried(shared);
         (self.asked + requests).saturating_sub(self.answered + responses)
     }
 }
@@ -264,7 +268,7 @@ impl Flow {
 
     fn traffic(&self) -> FlowTraffic {
         let mut traffic = self.traffic;
-        traffic.add(self.offload.shared().map(SharedFlow::traffic).unwrap_or_default());
+        traffic.add(carried(self.offload.shared()));
         traffic
     }
 

@@ -19,6 +19,7 @@ use crate::harness::{
     FIGURE_10, Network, Over, PASSWORD, Peer, Place, Process, Relay, SECOND, Settings, datagram,
     eventually, folder, has_nft, left_out, pause, pnet_nat,
 };
+use crate::reloading::{FIRST, FIRST_AND_SECOND};
 
 const REQUIRED: &str = "[datapath]\nkernel = \"required\"";
 /// Longer than any lease.
@@ -302,15 +303,6 @@ impl Traffic {
     }
 }
 
-const PASSWORDS: &str = r#"
-[[udp_range_net.password]]
-name = "first"
-file = "secrets/section-1"
-[[udp_range_net.password]]
-name = "second"
-file = "secrets/press"
-"#;
-
 #[test]
 fn nothing_that_was_withdrawn_is_carried_after_the_reload() {
     let Some(network) = Network::build() else { return };
@@ -318,10 +310,10 @@ fn nothing_that_was_withdrawn_is_carried_after_the_reload() {
     // Who goes on asking with what is withdrawn is not to be throttled for it.
     let limits = "[limits]\nwrong_password_burst = 65535\nwrong_password_interval = \"50ms\"";
     let sections = format!("{REQUIRED}\n{limits}");
-    let settings = Settings { passwords: PASSWORDS, sections: &sections, ..Settings::default() };
+    let (two, one) = (FIRST_AND_SECOND, FIRST);
+    let settings = Settings { passwords: two, sections: &sections, ..Settings::default() };
     let with = place.configuration(&settings);
-    let (all, two) = (r#"["0.0.0.0/0", "::/0", "172.17.17.0/24"]"#, PASSWORDS);
-    let one = two.split_inclusive("section-1\"").next().unwrap();
+    let all = r#"["0.0.0.0/0", "::/0", "172.17.17.0/24"]"#;
     for (what, is) in [(two, one), ("\"1-4\", 33", "\"1-3\", 33"), (all, r#"["198.51.100.8/32"]"#)]
     {
         let without = with.replace(what, is);

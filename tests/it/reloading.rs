@@ -31,7 +31,7 @@ const SUCCESS_TIME: &str = "pnet_nat_config_last_reload_success_timestamp_second
 /// With one worker, and with two.
 const RUNTIMES: [&str; 2] = ["workers = 1\ndrain = \"100ms\"", "workers = 2\ndrain = \"100ms\""];
 
-const FIRST_AND_SECOND: &str = r#"
+pub(crate) const FIRST_AND_SECOND: &str = r#"
 [[udp_range_net.password]]
 name = "first"
 file = "secrets/section-1"
@@ -40,7 +40,7 @@ name = "second"
 file = "secrets/press"
 "#;
 
-const FIRST: &str = r#"
+pub(crate) const FIRST: &str = r#"
 [[udp_range_net.password]]
 name = "first"
 file = "secrets/section-1"

@@ -7,10 +7,10 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering::Relaxed;
 
 use super::Offload;
-use super::layout::{Entry, KernelFlow, Key};
+use super::layout::{Ends, Entry, KernelFlow, Key, Terms};
 use crate::datapath::socket::port_pool::Ports;
 use crate::datapath::socket::sys::{bpf, options};
-use crate::nat::{Counters, Direction, Lent, Offer, SharedFlow};
+use crate::nat::{Counters, Lent, Offer, SharedFlow};
 
 /// The flows of one worker in the kernel.
 #[derive(Debug)]
@@ -49,26 +49,13 @@ impl Carrier {
         let upstream = ipv4(SocketAddr::new(own, offer.upstream_port))?;
         let shared = self.offload.flows.lend()?;
         self.flow(shared.place()).set_password(*offer.password.octets());
-        let entry = |direction, comes, leaves| Entry {
-            header: offer.header.0,
-            comes,
-            leaves,
-            direction,
-            node_address: offer.node_address,
-            flow: shared.place(),
-            node,
-            credential,
-        };
-        let key = |source, destination| Key { source, destination };
-        let request = entry(Direction::Request, key(client, public), key(upstream, server));
-        let response = entry(Direction::Response, key(server, upstream), key(public, client));
-        let keys = [&request, &response].map(|entry| entry.comes);
-        for entry in [request, response] {
-            let map = self.offload.entries.as_fd();
-            if bpf::update(map, &entry.comes.to_octets(), &entry.to_octets()).is_err() {
-                self.remove(shared.place(), keys);
-                return None;
-            }
+        let (header, node_address, flow) = (offer.header.0, offer.node_address, shared.place());
+        let terms = Terms { header, node_address, flow, node, credential };
+        let entries = Entry::both(&Ends { client, public, upstream, server }, terms);
+        let keys = entries.each_ref().map(|entry| entry.comes);
+        if entries.iter().try_for_each(|entry| self.offload.enter(entry)).is_err() {
+            self.remove(shared.place(), keys);
+            return None;
         }
         self.keys.insert(shared.place(), keys);
         self.offload.set_lease();

@@ -77,12 +77,18 @@ fn ports(source: SocketAddrV4, destination: SocketAddrV4) -> [u8; 4] {
     [a, b, c, d]
 }
 
-/// One direction of a flow.
-pub(super) struct Entry {
+/// Who takes part in a flow.
+pub(super) struct Ends {
+    pub(super) client: SocketAddrV4,
+    pub(super) public: SocketAddrV4,
+    pub(super) upstream: SocketAddrV4,
+    pub(super) server: SocketAddrV4,
+}
+
+/// What both directions of a flow have in common.
+#[derive(Clone, Copy)]
+pub(super) struct Terms {
     pub(super) header: [u8; 4],
-    pub(super) comes: Key,
-    pub(super) leaves: Key,
-    pub(super) direction: Direction,
     /// The node that a request has to name.
     pub(super) node_address: u8,
     /// Its place in the map of [`KernelFlow`]s.
@@ -90,6 +96,14 @@ pub(super) struct Entry {
     /// Where the node and the credential are counted.
     pub(super) node: u32,
     pub(super) credential: u32,
+}
+
+/// One direction of a flow.
+pub(super) struct Entry {
+    pub(super) comes: Key,
+    pub(super) leaves: Key,
+    direction: Direction,
+    terms: Terms,
 }
 
 /// Offsets in an entry. Numbers are in the byte order of the processor, what stands in headers in theirs.
@@ -122,8 +136,19 @@ pub(super) const NUMBER_AND_FRAGMENT: [u8; 4] = [0, 0, 0x40, 0];
 pub(super) const LIFE_AND_PROTOCOL: [u8; 2] = [64, 17];
 
 impl Entry {
+    /// Both directions of a flow, by [`Direction`].
+    pub(super) fn both(ends: &Ends, terms: Terms) -> [Self; 2] {
+        let Ends { client, public, upstream, server } = *ends;
+        let key = |source, destination| Key { source, destination };
+        let entry = |direction, comes, leaves| Self { comes, leaves, direction, terms };
+        [
+            entry(Direction::Request, key(client, public), key(upstream, server)),
+            entry(Direction::Response, key(server, upstream), key(public, client)),
+        ]
+    }
+
     pub(super) fn to_octets(&self) -> [u8; entry::LEN] {
-        let Self { comes, leaves, .. } = self;
+        let Self { comes, leaves, terms, .. } = self;
         let [was, is] = [comes, leaves].map(|key| key.to_octets());
         let mut all = [0; entry::LEN];
         let mut put = |at: i16, octets: &[u8]| {
@@ -131,16 +156,16 @@ impl Entry {
         };
         put(entry::ADDRESSES, &is[..8]);
         put(entry::PORTS, &is[8..]);
-        put(entry::HEADER, &self.header);
+        put(entry::HEADER, &terms.header);
         put(entry::ADDRESSES_CHANGE, &change(&was[..8], &is[..8]).to_ne_bytes());
         put(entry::PORTS_CHANGE, &change(&was[8..], &is[8..]).to_ne_bytes());
         let fixed = [&VERSION_AND_SERVICE[..], &NUMBER_AND_FRAGMENT, &LIFE_AND_PROTOCOL, &is[..8]];
         put(entry::IP_SUM, &sum(&fixed.concat()).to_ne_bytes());
-        put(entry::FLOW, &self.flow.to_ne_bytes());
-        put(entry::NODE, &self.node.to_ne_bytes());
-        put(entry::CREDENTIAL, &self.credential.to_ne_bytes());
+        put(entry::FLOW, &terms.flow.to_ne_bytes());
+        put(entry::NODE, &terms.node.to_ne_bytes());
+        put(entry::CREDENTIAL, &terms.credential.to_ne_bytes());
         let node_address = match self.direction {
-            Direction::Request => self.node_address,
+            Direction::Request => terms.node_address,
             Direction::Response => entry::ANY_NODE,
         };
         put(entry::NODE_ADDRESS, &[node_address]);

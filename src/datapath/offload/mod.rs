@@ -45,7 +45,7 @@ pub(in crate::datapath) use layout::KernelFlow;
 pub use trial::holds;
 
 use interfaces::{Interface, Wanted};
-use layout::{Key, entry};
+use layout::{Entry, Key, entry};
 use places::Places;
 use program::Maps;
 
@@ -232,6 +232,11 @@ impl Offload {
         };
         offload.set_lease();
         Ok(offload)
+    }
+
+    /// Enters one direction of a flow.
+    fn enter(&self, entry: &Entry) -> io::Result<()> {
+        bpf::update(self.entries.as_fd(), &entry.comes.to_octets(), &entry.to_octets())
     }
 
     /// Sets how long the next leases last.

@@ -6,7 +6,7 @@ use std::net::{Ipv4Addr, SocketAddr, SocketAddrV4};
 use std::sync::atomic::Ordering::Relaxed;
 use std::time::Duration;
 
-use super::layout::Entry;
+use super::layout::{Ends, Terms};
 use super::*;
 use crate::nat::{
     Arrival, Chance, Core, Counters, Credential, Direction, Effects, Limits, ListenerId, Mapping,
@@ -88,22 +88,11 @@ impl Trial {
         let shared = offload.flows.lend().unwrap();
         offload.flows.all()[shared.place() as usize].set_password(*PASSWORD);
         let [node, credential] = counters.places(MappingId(0), NetId(0), 0).unwrap();
-        let entry = |direction, comes: [SocketAddrV4; 2], leaves: [SocketAddrV4; 2]| {
-            let key = |[source, destination]: [SocketAddrV4; 2]| Key { source, destination };
-            let (comes, leaves) = (key(comes), key(leaves));
-            let flow = shared.place();
-            let header = Header::default().0;
-            let node_address = NODE;
-            Entry { header, comes, leaves, direction, node_address, flow, node, credential }
-        };
-        let entries = [
-            entry(Direction::Request, [CLIENT, PUBLIC], [UPSTREAM, SERVER]),
-            entry(Direction::Response, [SERVER, UPSTREAM], [PUBLIC, CLIENT]),
-        ];
-        for entry in &entries {
-            let (key, value) = (entry.comes.to_octets(), entry.to_octets());
-            bpf::update(offload.entries.as_fd(), &key, &value).unwrap();
-        }
+        let (header, node_address, flow) = (Header::default().0, NODE, shared.place());
+        let terms = Terms { header, node_address, flow, node, credential };
+        let (client, public, upstream, server) = (CLIENT, PUBLIC, UPSTREAM, SERVER);
+        let entries = Entry::both(&Ends { client, public, upstream, server }, terms);
+        entries.iter().for_each(|entry| offload.enter(entry).unwrap());
         let both = Self { offload, counters, core, now, via: to.via, shared, entries };
         both.lend_way(u64::MAX, LOOPBACK);
         Ok(both)

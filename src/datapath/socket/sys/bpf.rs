@@ -43,12 +43,10 @@ pub(in crate::datapath) enum Place {
     Outgoing = 47,
 }
 
-/// The commands that a confined process needs.
-pub(in crate::datapath) mod command {
-    pub(in crate::datapath) const UPDATE: libc::c_int = 2;
-    pub(in crate::datapath) const DELETE: libc::c_int = 3;
-    pub(in crate::datapath) const LINK: libc::c_int = 28;
-}
+// The sandbox leaves these commands to a confined process, and no other.
+const UPDATE: libc::c_int = 2;
+const DELETE: libc::c_int = 3;
+const LINK: libc::c_int = 28;
 
 const CREATE_MAP: libc::c_int = 0;
 const LOAD: libc::c_int = 5;
@@ -172,13 +170,13 @@ pub(in crate::datapath) fn update(map: BorrowedFd<'_>, key: &[u8], value: &[u8])
         value: address(value),
         ..Element::default()
     };
-    call(command::UPDATE, &mut arguments).map(drop)
+    call(UPDATE, &mut arguments).map(drop)
 }
 
 /// Takes an entry out of a map.
 pub(in crate::datapath) fn delete(map: BorrowedFd<'_>, key: &[u8]) -> io::Result<()> {
     let mut arguments = Element { map: number(map), key: address(key), ..Element::default() };
-    call(command::DELETE, &mut arguments).map(drop)
+    call(DELETE, &mut arguments).map(drop)
 }
 
 /// Has the kernel check and take a program for this place. An error has the end of the verifier's log, if
@@ -231,7 +229,7 @@ pub(in crate::datapath) fn link(
         place: place as u32,
         ..CreateLink::default()
     };
-    call(command::LINK, &mut arguments).map(descriptor)
+    call(LINK, &mut arguments).map(descriptor)
 }
 
 /// Runs a program on a frame that came in by the loopback interface. Returns its result and the frame as the
