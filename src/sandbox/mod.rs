@@ -10,6 +10,7 @@
 mod files;
 mod links;
 mod privileges;
+#[cfg(target_endian = "little")] // as seccompiler
 mod system_calls;
 mod user;
 
@@ -205,7 +206,10 @@ impl Prepared {
         let (landlock, own_figures) = files::confine(&readable);
         let fixed = readable.files().map(Path::to_owned).collect();
         // Seccomp comes last: the other layers need system calls that it blocks.
+        #[cfg(target_endian = "little")]
         let seccomp = State::of(system_calls::confine(kernel_flows));
+        #[cfg(target_endian = "big")]
+        let (seccomp, _) = (State::Missing("not for this processor".to_owned()), kernel_flows);
         let states = [memory, self.no_new_privs, capabilities, landlock, seccomp];
         Sandbox { states, user, fixed, _own_figures: Arc::new(own_figures) }
     }
