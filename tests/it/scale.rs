@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::Relaxed};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use nix::sys::resource::{Resource, getrlimit};
+use nix::sys::resource::{Resource, getrlimit, rlim_t};
 
 use crate::harness::{Over, Peer, Relay, Site, eventually, exchange, left_out, pause};
 
@@ -19,7 +19,7 @@ const START_TIME: Duration =
 /// A relay with 8,000 public ports; none, and says so, where there are too few file descriptors.
 pub(crate) fn large_relay(site: &Site) -> Option<Relay> {
     let (_, hard) = getrlimit(Resource::RLIMIT_NOFILE).unwrap();
-    if hard < DESCRIPTORS {
+    if hard < DESCRIPTORS as rlim_t {
         left_out(&format!("a hard limit of {DESCRIPTORS} file descriptors (it is {hard})"));
         return None;
     }

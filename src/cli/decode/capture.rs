@@ -62,7 +62,14 @@ pub(super) fn read(
     ensure!(blocks.fill(4)?, "the capture is empty");
     match blocks.block.first_chunk().copied().and_then(pcap_version) {
         Some((big_endian, units)) => read_pcap(&mut blocks, big_endian, units, each),
-        None => read_pcapng(&mut blocks, each),
+        None => {
+            // pcap-parser 0.17 takes the type of a block for another one there.
+            ensure!(
+                cfg!(target_endian = "little"),
+                "this processor is big-endian, where pcapng is not read; `editcap -F pcap` makes pcap of it"
+            );
+            read_pcapng(&mut blocks, each)
+        }
     }
 }
 

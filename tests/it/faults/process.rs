@@ -5,7 +5,7 @@ use std::io::Write;
 use std::net::TcpStream;
 use std::process::Command;
 
-use nix::sys::resource::{Resource, getrlimit};
+use nix::sys::resource::{Resource, getrlimit, rlim_t};
 use nix::sys::stat::Mode;
 use nix::unistd::mkfifo;
 use socket2::{Domain, Socket, Type};
@@ -136,7 +136,7 @@ fn ask_and_do_not_read(site: &Site) -> Socket {
     socket
 }
 
-fn limit_descriptors(relay: &Relay, soft: u64) {
+fn limit_descriptors(relay: &Relay, soft: rlim_t) {
     let (process, limit) = (relay.process.id().to_string(), format!("--nofile={soft}:"));
     let status = Command::new("prlimit").args(["--pid", &process, &limit]).status().unwrap();
     assert!(status.success());
