@@ -1,0 +1,127 @@
+#!/bin/bash
+# Other processors: everything compiles for them without a warning, is packed as Debian packages and images,
+# and runs on real kernels of theirs, in machines that qemu plays: confined, with flows in the kernel, at work.
+#
+# Needs root and the packages buildah, busybox-static, mmdebstrap, qemu-system-arm and qemu-system-misc, and
+# cargo-deb. Compilers and kernels are Debian's; it ends with 75 where they cannot be reached. Without
+# arguments it takes all processors; arguments name some: arm64 armhf s390x.
+set -euo pipefail
+cd "$(dirname "$0")/../.."
+
+declare -A TARGETS=(
+    [arm64]=aarch64-unknown-linux-gnu [armhf]=armv7-unknown-linux-gnueabihf [s390x]=s390x-unknown-linux-gnu)
+declare -A KERNELS=([arm64]=arm64 [armhf]=armmp [s390x]=s390x)
+declare -A MACHINES=(
+    [arm64]="qemu-system-aarch64 -machine virt -cpu cortex-a53"
+    [armhf]="qemu-system-arm -machine virt,highmem=off -cpu cortex-a7"
+    [s390x]="qemu-system-s390x -machine s390-ccw-virtio")
+declare -A CONSOLES=([arm64]=ttyAMA0 [armhf]=ttyAMA0 [s390x]=ttysclp0)
+
+processors=("$@")
+[ $# -gt 0 ] || processors=(armhf arm64 s390x)
+work=$PWD/target/processors
+mkdir -p "$work"
+
+debian() {
+    deploy/cross/debian.sh "$@"
+}
+
+compile() {
+    local processor=$1 target=${TARGETS[$1]} tests=(--test violations)
+    debian env CARGO_BUILD_WARNINGS=deny cargo check --quiet --locked --all-targets --target "$target"
+    [ "$processor" != s390x ] || tests=() # there is no filter of system calls to be tried
+    # The linker warns of names that static programs look up; nothing here looks up a name of a host.
+    debian cargo build --quiet --locked --target "$target" --bin pnet-nat "${tests[@]}" 2>"$work/linker" ||
+        { cat "$work/linker"; return 1; }
+}
+
+# The Debian package, with the program of the tests as that of the package's profile.
+package() {
+    local processor=$1 target=${TARGETS[$1]}
+    mkdir -p "target/cross/$target/dist"
+    ln -sf ../debug/pnet-nat "target/cross/$target/dist/pnet-nat"
+    CARGO_TARGET_DIR=target/cross cargo deb --quiet --no-build --no-strip --fast --locked --offline \
+        --target "$target" --output "$work/$processor/pnet-nat.deb"
+    [ "$(dpkg-deb --field "$work/$processor/pnet-nat.deb" Architecture)" = "$processor" ]
+    rm -rf "$work/$processor/package"
+    dpkg-deb --extract "$work/$processor/pnet-nat.deb" "$work/$processor/package"
+}
+
+# The kernel of a processor and a busybox, from Debian's packages. The Debian of the compilers keeps them.
+fetch() {
+    local processor=$1
+    mkdir -p "$work/$processor"
+    debian sh -euc '
+        processor=$1 kernel=$2 work=$3 kept=/var/cache/pnet-nat/$1
+        depends() { apt-cache depends "$1" | sed -n "s/^ *Depends: \($2.*\)/\1/p"; }
+        if [ ! -e "$kept/vmlinuz" ]; then
+            rm -rf "$kept" && mkdir -p "$kept" && cd "$kept"
+            apt-get update -qq || exit 75
+            # A metapackage names the image, and that the package of the kernel itself.
+            binary=$(depends "$(depends "linux-image-$kernel:$processor" linux-image-)" linux-binary-)
+            apt-get download -qq "$binary" "busybox-static:$processor" || exit 75
+            for package in *.deb; do dpkg-deb --extract "$package" packages; done
+            mv packages/usr/bin/busybox packages/usr/lib/modules/*/vmlinuz .
+            rm -r packages ./*.deb
+        fi
+        cp "$kept"/* "/pnet-nat/$work"
+    ' sh "$processor" "${KERNELS[$processor]}" "target/processors/$processor"
+}
+
+# The files of a machine: the first process, busybox, the program of the package, and what is to be tried.
+pack() {
+    local processor=$1 root=$work/$1/root violations
+    rm -rf "$root" && mkdir -p "$root"/{bin,dev,etc,proc,sys,tmp}
+    cp tests/processors/init "$root/init"
+    cp "$work/$processor/busybox" "$work/$processor/package/usr/bin/pnet-nat" "$root/bin"
+    ln -s busybox "$root/bin/sh"
+    violations=$(find "target/cross/${TARGETS[$processor]}/debug/deps" -name 'violations-*' -perm /1 \
+        -printf '%T@ %p\n' | sort -n | tail -n 1 | cut -d ' ' -f 2) # the newest
+    [ -z "$violations" ] || cp "$violations" "$root/bin/violations"
+    (cd "$root" && find . | busybox cpio -o -H newc) >"$work/$processor/initramfs"
+}
+
+boot() {
+    local processor=$1 console=$work/$1/console tries good
+    # shellcheck disable=SC2086 # words
+    timeout 600 ${MACHINES[$processor]} -m 1024 -nographic -no-reboot -nodefaults -serial stdio \
+        -kernel "$work/$processor/vmlinuz" -initrd "$work/$processor/initramfs" \
+        -append "console=${CONSOLES[$processor]} quiet panic=-1" </dev/null |
+        tr -d '\r' | tee "$console"
+    tries=$(grep -c '^== ' "$console")
+    good=$(grep -c '^== .*: good$' "$console")
+    echo "$processor: $good of $tries tries are good"
+    [ "$tries" -ge 2 ] && [ "$good" = "$tries" ]
+}
+
+# One image for all processors that were compiled, each with its own program.
+images() {
+    local name=localhost/pnet-nat-test programs=$work/programs processor
+    rm -rf "$programs"
+    for processor in "${processors[@]}"; do
+        mkdir -p "$programs/$processor"
+        cp "$work/$processor/package/usr/bin/pnet-nat" "$programs/$processor"
+    done
+    # Neither a user namespace nor a file system of its own: nothing runs in the image.
+    BUILDAH_ISOLATION=chroot STORAGE_DRIVER=vfs deploy/container/images.sh "$programs" "$name"
+    STORAGE_DRIVER=vfs buildah manifest inspect "$name" >"$work/manifest"
+    STORAGE_DRIVER=vfs buildah manifest rm "$name" >/dev/null
+    for processor in "${processors[@]}"; do
+        [ "$processor" = s390x ] || grep -q "\"architecture\": \"${processor/armhf/arm}\"" "$work/manifest"
+    done
+}
+
+mkdir -p target/package
+cargo run --quiet --locked -- man target/package
+for shell in bash:pnet-nat.bash zsh:_pnet-nat fish:pnet-nat.fish; do
+    cargo run --quiet --locked -- completions "${shell%:*}" >"target/package/${shell#*:}"
+done
+export CARGO_PROFILE_DEV_DEBUG=0 # a third of the octets
+for processor in "${processors[@]}"; do
+    for step in compile fetch package pack boot; do
+        echo "-- $processor: $step"
+        $step "$processor"
+    done
+done
+echo "-- images"
+images
