@@ -40,9 +40,39 @@ const CONTROL: &str = "/run/pnet-nat/control.sock";
 pub(super) struct Options {
     /// Where to ask the relay: http://HOST:PORT of its admin server, or unix:PATH of its control socket
     /// [default: as --config says].
-    #[arg(long, value_name = "URL", env = "PNET_NAT_STATUS_URL")]
-    pub(super) url: Option<String>,
+    #[arg(long, alias = "url", value_name = "URL", env = "PNET_NAT_STATUS_URL")]
+    pub(super) target: Option<String>,
 
+    #[command(flatten)]
+    pub(super) files: Files,
+}
+
+/// The same as [`Options`], but several relays may be named.
+#[derive(Debug, clap::Args)]
+pub(super) struct ManyOptions {
+    /// Where to ask the relay: http://HOST:PORT of its admin server, or unix:PATH of its control socket
+    /// [default: as --config says]. Given several times, the relays are shown side by side.
+    #[arg(long, alias = "url", value_name = "URL", env = "PNET_NAT_STATUS_URL")]
+    target: Vec<String>,
+
+    #[command(flatten)]
+    files: Files,
+}
+
+impl ManyOptions {
+    /// The options for each of the relays: one at least.
+    pub(super) fn each(&self) -> Vec<Options> {
+        let of = |target: Option<String>| Options { target, files: self.files.clone() };
+        match self.target.as_slice() {
+            [] => vec![of(None)],
+            targets => targets.iter().cloned().map(Some).map(of).collect(),
+        }
+    }
+}
+
+/// The files that say where a relay can be asked.
+#[derive(Clone, Debug, clap::Args)]
+pub(super) struct Files {
     /// The relay's configuration file; its [admin] says where the relay can be asked, and which token that
     /// needs [default: /etc/pnet-nat/pnet-nat.toml].
     #[arg(short, long, value_name = "FILE", env = "PNET_NAT_CONFIG")]
@@ -102,7 +132,7 @@ impl Place {
         }
     }
 
-    /// The same in the form that `--url` takes.
+    /// The same in the form that `--target` takes.
     pub(super) fn url(&self) -> String {
         match self {
             Self::Http(url) => url.clone(),
@@ -114,10 +144,10 @@ impl Place {
     fn hint(&self) -> &'static str {
         match self {
             Self::Http(_) => {
-                "is the relay running, and is this its [admin] listen? See --url and --config"
+                "is the relay running, and is this its [admin] listen? See --target and --config"
             }
             Self::Control(_) => {
-                "is the relay running? Its user, its group and root may use this socket; see --url"
+                "is the relay running? Its user, its group and root may use this socket; see --target"
             }
         }
     }
@@ -138,7 +168,7 @@ fn reachable(mut listen: SocketAddr) -> SocketAddr {
 /// A relay that can be asked.
 pub(super) struct AdminServer {
     place: Place,
-    /// The place in the form that `--url` takes.
+    /// The place in the form that `--target` takes.
     pub(super) url: String,
     /// The header with the token, where there is one.
     token: HeaderMap,
@@ -149,8 +179,8 @@ pub(super) struct AdminServer {
 impl AdminServer {
     /// The relay that `options` name.
     pub(super) fn new(options: &Options, answer_time: Duration) -> anyhow::Result<Self> {
-        let Options { url, config, token_file } = options;
-        let (place, its_token_file) = Place::find(url.as_deref(), config.as_deref())?;
+        let Options { target, files: Files { config, token_file } } = options;
+        let (place, its_token_file) = Place::find(target.as_deref(), config.as_deref())?;
         let token = match (&place, token_file.as_ref().or(its_token_file.as_ref())) {
             (Place::Http(_), Some(file)) => token(file)?,
             _ => HeaderMap::new(),

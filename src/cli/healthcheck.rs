@@ -17,11 +17,11 @@ const READY: &str = "/-/ready";
 /// Ask a running relay whether it is ready: exit 0 if it is, otherwise 1 and a line that says why.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:  pnet-nat healthcheck\n\
-    \x20         pnet-nat healthcheck --url http://127.0.0.1:9378/-/ready")]
+    \x20         pnet-nat healthcheck --target http://127.0.0.1:9378/-/ready")]
 pub(super) struct Args {
     /// The URL to ask, or unix:PATH of the relay's control socket [default: as --config says].
-    #[arg(long, env = "PNET_NAT_HEALTHCHECK_URL", value_name = "URL")]
-    url: Option<String>,
+    #[arg(long, alias = "url", env = "PNET_NAT_HEALTHCHECK_URL", value_name = "URL")]
+    target: Option<String>,
 
     /// The relay's configuration file, whose [admin] says where it can be asked [default:
     /// /etc/pnet-nat/pnet-nat.toml].
@@ -42,7 +42,7 @@ pub(super) struct Args {
 /// Asks once.
 pub(super) fn run(args: Args) -> anyhow::Result<ExitCode> {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
-    let (url, why) = match Place::find(args.url.as_deref(), args.config.as_deref()) {
+    let (url, why) = match Place::find(args.target.as_deref(), args.config.as_deref()) {
         Ok((place, _)) => {
             let path = if names_a_path(&place) { "" } else { READY };
             let no_headers = HeaderMap::new();
@@ -86,8 +86,8 @@ mod tests {
             let headers = "content-length: 0\r\nconnection: close\r\nlocation: /\r\n";
             write!(stream, "HTTP/1.1 {status}\r\n{headers}\r\n").unwrap();
         });
-        let code =
-            run(Args { url: Some(url), config: None, timeout: Duration::from_secs(10) }).unwrap();
+        let code = run(Args { target: Some(url), config: None, timeout: Duration::from_secs(10) })
+            .unwrap();
         server.join().unwrap();
         code
     }
@@ -105,7 +105,7 @@ mod tests {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let url = Some(format!("http://{}/", listener.local_addr().unwrap()));
         let timeout = Duration::from_millis(200);
-        let args = |url| Args { url, config: None, timeout };
+        let args = |target| Args { target, config: None, timeout };
         assert_eq!(run(args(url.clone())).unwrap(), ExitCode::FAILURE);
         drop(listener);
         assert_eq!(run(args(url)).unwrap(), ExitCode::FAILURE);

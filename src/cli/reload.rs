@@ -92,8 +92,8 @@ pub(super) fn run(args: &Args) -> anyhow::Result<ExitCode> {
 /// Whether the file has faults that the relay would find as well; prints them. What depends on who reads
 /// the file, or on the host, is left to the relay.
 fn has_faults(args: &Args) -> bool {
-    let admin_server::Options { url, config, .. } = &args.relay;
-    let file = match (config, url) {
+    let admin_server::Options { target, files } = &args.relay;
+    let file = match (&files.config, target) {
         (Some(file), _) => file.as_path(),
         (None, None) => Path::new(USUAL_FILE),
         (None, Some(_)) => return false,

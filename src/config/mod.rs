@@ -22,6 +22,7 @@ mod file;
 #[cfg(test)]
 pub(crate) mod fixture;
 mod guessable;
+mod hash;
 mod host;
 mod ip_net_table;
 mod model;

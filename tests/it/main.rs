@@ -51,6 +51,7 @@ mod request;
 mod rotation;
 mod scale;
 mod schema;
+mod side_by_side;
 mod status;
 mod status_page;
 mod status_reach;

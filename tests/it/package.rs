@@ -77,6 +77,7 @@ fn the_package_has_what_its_pages_name() {
     for example in [
         "prometheus/pnet-nat.rules.yml",
         "grafana/dashboards/pnet-nat.json",
+        "grafana/dashboards/pnet-nat-fleet.json",
         "fail2ban/jail.d/pnet-nat.conf",
         "keepalived/keepalived.conf",
         "systemd/kernel-flows.conf",

@@ -55,6 +55,8 @@ pub(in crate::admin) async fn nets(
 struct NetState<'a> {
     #[serde(flatten)]
     rules: NetRules<'a>,
+    /// The same at all relays that configure the net alike.
+    config_hash: String,
     /// The /24 of all servers of a UDP Range net (PAS 7).
     subnet: Option<IpNet>,
     flows: u64,
@@ -90,6 +92,7 @@ impl<'a> NetState<'a> {
         let credentials = net.credentials.iter().map(|credential| credential.name.as_str());
         Self {
             rules: NetRules::of(net),
+            config_hash: active.config.hash_of(id),
             subnet: subnet(table, id),
             flows: totals.flows,
             flows_opened: totals.flows_opened,

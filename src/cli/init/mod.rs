@@ -219,7 +219,7 @@ fn next(plan: &Plan, files: &Files, try_out: bool) -> String {
     };
     let port = plan.admin_port.unwrap_or(host::ADMIN_PORT);
     let url =
-        plan.admin_port.map_or(String::new(), |port| format!(" --url http://127.0.0.1:{port}"));
+        plan.admin_port.map_or(String::new(), |port| format!(" --target http://127.0.0.1:{port}"));
     format!(
         "Next:\n\n  pnet-nat run --config {config}\n\n{test}\n\
          Who answers and what is dropped: http://127.0.0.1:{port}/, or `pnet-nat status{url}`."

@@ -89,7 +89,7 @@ pub(super) struct Args {
 impl Args {
     /// The relay's configuration file.
     fn file(&self) -> &Path {
-        self.relay.config.as_deref().unwrap_or(Path::new(USUAL_FILE))
+        self.relay.files.config.as_deref().unwrap_or(Path::new(USUAL_FILE))
     }
 }
 

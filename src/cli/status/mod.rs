@@ -1,20 +1,23 @@
 //! `pnet-nat status`: what the status page shows, in the terminal.
 //!
 //! `snapshot` is what the API answers, `table` how it is shown, `refused` both of who is refused, and `events`
-//! what happened. Here the relay is asked, once or again and again.
+//! what happened. Here the relay is asked, once or again and again. `side_by_side` shows several relays.
 
 mod events;
 mod refused;
+mod side_by_side;
 mod snapshot;
 mod table;
 
 use std::io::Write;
 use std::process::ExitCode;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use anyhow::bail;
 use clap::builder::BoolishValueParser;
 use serde_json::{Map, Value, json};
+use tokio::task::JoinSet;
 
 use super::admin_server::{self, AdminServer, percent_encoded};
 use super::output::{Format, Paint, out};
@@ -23,6 +26,7 @@ use crate::harmless::harmless_value;
 
 use events::Events;
 use refused::Refused;
+use side_by_side::{Said, as_json};
 use snapshot::Snapshot;
 use table::Layout;
 
@@ -36,10 +40,11 @@ const MOST_REFUSED: usize = 1000;
     \x20         pnet-nat status --events\n\
     \x20         pnet-nat status --refused\n\
     \x20         pnet-nat status --format json | jq '.nets[].silent_nodes'\n\
-    Exit codes: 0 shown, whatever the state; 1 no answer, or not the answer of a relay.")]
+    \x20         pnet-nat status --target http://10.0.0.1:9378 --target http://10.0.0.2:9378\n\
+    Exit codes: 0 shown, whatever the state; 1 no answer of a relay, or not the answer of one.")]
 pub(super) struct Args {
     #[command(flatten)]
-    relay: admin_server::Options,
+    relays: admin_server::ManyOptions,
 
     /// How long to wait for each answer.
     #[arg(
@@ -99,13 +104,19 @@ pub(super) struct Args {
 
 /// Shows the status once, or again and again until Ctrl-C.
 pub(super) fn run(args: Args) -> anyhow::Result<ExitCode> {
-    let relay = Relay::new(&args)?;
+    let relays = args.relays.each();
+    let relays = relays.iter().map(|options| Relay::new(&args, options, relays.len() == 1));
+    let relays = relays.collect::<anyhow::Result<Vec<_>>>()?;
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     runtime.block_on(async {
-        match args.watch {
-            None if args.events => events(&args, &relay).await,
-            Some(interval) => again(&args, &relay, interval).await,
-            None => once(&args, &relay).await,
+        match (relays.as_slice(), args.watch) {
+            ([relay], None) if args.events => events(&args, relay).await,
+            ([relay], Some(interval)) => again(&args, relay, interval).await,
+            ([relay], None) => once(&args, relay).await,
+            _ if args.events || args.refused => {
+                bail!("--events and --refused show one relay: give one --target")
+            }
+            (relays, interval) => many(&args, relays, interval).await,
         }
     })
 }
@@ -150,6 +161,55 @@ async fn again(args: &Args, relay: &Relay, interval: Duration) -> anyhow::Result
     .await
 }
 
+/// Shows several relays side by side.
+async fn many(
+    args: &Args,
+    relays: &[Arc<Relay>],
+    interval: Option<Duration>,
+) -> anyhow::Result<ExitCode> {
+    if let Some(interval) = interval {
+        let for_more = "pnet-nat status, or --net";
+        return watch(interval, args.format, for_more, async || Ok(Ok(look(args, relays).await.0)))
+            .await;
+    }
+    let (text, all_answered) = look(args, relays).await;
+    out().write_all(text.as_bytes())?;
+    Ok(if all_answered { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+}
+
+/// The text, and whether every relay answered. All are asked at the same time.
+async fn look(args: &Args, relays: &[Arc<Relay>]) -> (String, bool) {
+    let mut asked = JoinSet::new();
+    for (index, relay) in relays.iter().cloned().enumerate() {
+        asked.spawn(async move { (index, relay.ask().await) });
+    }
+    let mut answers = asked.join_all().await;
+    answers.sort_by_key(|(index, _)| *index);
+    let (mut all, mut seen) = (Vec::new(), Vec::new());
+    for (index, answer) in answers {
+        let relay = &relays[index];
+        let read = answer.and_then(|answer| {
+            let snapshot = Snapshot::read(harmless_value(answer.clone()), relay.net.is_some())?;
+            Ok((answer, snapshot))
+        });
+        let (answer, snapshot): (Said<_>, Said<_>) = match read {
+            Ok((answer, snapshot)) => (Ok(answer), Ok(snapshot)),
+            Err(error) => {
+                let error = format!("{error:#}");
+                (Err(error.clone()), Err(error))
+            }
+        };
+        all.push((relay.server.url.clone(), answer));
+        seen.push((relay.server.url.clone(), snapshot));
+    }
+    let all_answered = seen.iter().all(|(_, said)| said.is_ok());
+    let text = match args.format {
+        Format::Json => json_line(&as_json(all, &seen)),
+        Format::Text => paper(args.full).side_by_side(&seen),
+    };
+    (text, all_answered)
+}
+
 /// The text, and the state that the next look is compared with.
 fn draw(
     args: &Args,
@@ -176,12 +236,14 @@ struct Relay {
     net: Option<String>,
     /// Whether to show who is refused, and nothing else.
     refused: bool,
+    /// Whether to show each node.
+    nodes: bool,
 }
 
 impl Relay {
-    fn new(args: &Args) -> anyhow::Result<Self> {
-        let server = AdminServer::new(&args.relay, args.timeout)?;
-        Ok(Self { server, net: args.net.clone(), refused: args.refused })
+    fn new(args: &Args, options: &admin_server::Options, nodes: bool) -> anyhow::Result<Arc<Self>> {
+        let server = AdminServer::new(options, args.timeout)?;
+        Ok(Arc::new(Self { server, net: args.net.clone(), refused: args.refused, nodes }))
     }
 
     /// Everything that is shown, as one object.
@@ -190,7 +252,8 @@ impl Relay {
         let net = net.unwrap_or_default();
         let mut all = Map::new();
         if !self.refused {
-            all.append(&mut self.get(&format!("/api/v1/nets?nodes=true{net}"), "nets").await?);
+            let nets = format!("/api/v1/nets?nodes={}{net}", self.nodes);
+            all.append(&mut self.get(&nets, "nets").await?);
             all.insert("status".to_owned(), self.server.get("/api/v1/status").await?.into());
         }
         let refused = format!("/api/v1/refused?limit={MOST_REFUSED}{net}");

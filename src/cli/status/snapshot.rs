@@ -73,6 +73,8 @@ pub(super) struct Offload {
 #[derive(Debug, Deserialize)]
 pub(super) struct Net {
     pub(super) name: String,
+    /// The same at all relays that configure the net alike.
+    pub(super) config_hash: String,
     pub(super) flows: u64,
     pub(super) max_flows: u64,
     pub(super) answering_nodes: u64,
@@ -82,6 +84,8 @@ pub(super) struct Net {
     pub(super) kernel_dropped_datagrams: BTreeMap<String, u64>,
     #[serde(flatten)]
     pub(super) traffic: Traffic,
+    /// Empty where they are not asked for.
+    #[serde(default)]
     pub(super) nodes: Vec<Node>,
 }
 

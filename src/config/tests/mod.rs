@@ -4,6 +4,7 @@
 //! `faults`; that the annotated configuration tells the truth, in `reference`.
 
 mod faults;
+mod hash;
 mod host;
 mod ip_net_table;
 mod profinet_device;

@@ -5,7 +5,7 @@ use super::*;
 
 pub(super) const REFERENCE: &str = include_str!("../../../config/pnet-nat.toml");
 
-fn read(text: &str) -> Result<(Config, Vec<Warning>), Faults> {
+pub(super) fn read(text: &str) -> Result<(Config, Vec<Warning>), Faults> {
     let folder = tempfile::tempdir().unwrap();
     fs::create_dir(folder.path().join("secrets")).unwrap();
     for name in ["section-1", "section-1-device", "press", "press-device", "plant-2"] {
@@ -13,9 +13,11 @@ fn read(text: &str) -> Result<(Config, Vec<Warning>), Faults> {
         fs::write(&path, b"s3cr3t-A").unwrap();
         fs::set_permissions(&path, Permissions::from_mode(0o600)).unwrap();
     }
-    let token = folder.path().join("secrets/admin");
-    fs::write(&token, b"0123456789abcdef").unwrap();
-    fs::set_permissions(&token, Permissions::from_mode(0o600)).unwrap();
+    for name in ["admin", "admin-2"] {
+        let token = folder.path().join("secrets").join(name);
+        fs::write(&token, b"0123456789abcdef").unwrap();
+        fs::set_permissions(&token, Permissions::from_mode(0o600)).unwrap();
+    }
     parse(text, &folder.path().join("pnet-nat.toml"))
 }
 

@@ -34,6 +34,8 @@ pub(super) struct NetSums<'a> {
     pub(super) nodes: Vec<(String, NodeTotals)>,
     /// The net itself. `None` for strays, which belong to no net.
     pub(super) net: Option<(&'a Net, NetTotals)>,
+    /// The checksum of the net's configuration. `None` for strays.
+    pub(super) config_hash: Option<String>,
     /// Asks the kernel about every public socket of the net. This is slow, so only the family that
     /// needs the figures calls it.
     pub(super) kernel_drops: Box<dyn Fn() -> KernelDrops + 'a>,
@@ -105,6 +107,16 @@ pub(super) const NET_FAMILIES: &[NetFamily] = &[
         kind: MetricType::GAUGE,
         samples: |sums| {
             of_net(sums, |labels, net, _| vec![gauge(labels, f64::from(net.max_flows))])
+        },
+    },
+    NetFamily {
+        name: "pnet_nat_config_hash",
+        help: "Always 1; the label hash is the same at all relays that configure the net alike. \
+               Passwords are not in it.",
+        kind: MetricType::GAUGE,
+        samples: |sums| {
+            let labelled = |hash: &String| gauge(&[("net", sums.label), ("hash", hash)], 1.0);
+            sums.config_hash.iter().map(labelled).collect()
         },
     },
     NetFamily {

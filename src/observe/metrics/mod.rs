@@ -123,6 +123,7 @@ fn net_sums(active: &ActiveConfig, started_at: f64, id: NetId) -> NetSums<'_> {
         label: &net.name,
         nodes: table.mappings_of(id).map(node).collect(),
         net: Some((net, NetTotals::of_net(workers, table, id))),
+        config_hash: Some(active.config.hash_of(id)),
         kernel_drops: Box::new(move || active.kernel_drops(id)),
         started_at,
     }
@@ -133,6 +134,7 @@ fn stray_sums(active: &ActiveConfig, started_at: f64) -> NetSums<'_> {
         label: STRAY_NET,
         nodes: vec![(STRAY_NODE.to_owned(), NodeTotals::of_strays(&active.counters))],
         net: None,
+        config_hash: None,
         kernel_drops: Box::new(|| active.upstream_kernel_drops()),
         started_at,
     }

@@ -120,6 +120,20 @@ fn the_kernel_carries_nothing_where_it_is_not_asked_to() {
 }
 
 #[test]
+fn each_net_has_the_checksum_of_its_configuration() {
+    let config = config();
+    let of = |net| config.hash_of(net);
+    let [section, press] = [of(SECTION), of(crate::nat::NetId(1))];
+    assert_ne!(section, press);
+    let scrape = Scrape::of(&Router::idle(config, 1));
+    for (net, hash) in [("section-1", section), ("press", press)] {
+        let series = format!("pnet_nat_config_hash{{net=\"{net}\",hash=\"{hash}\"}}");
+        assert_eq!(scrape.get(&series), 1.0);
+    }
+    assert_eq!(scrape.of_family("pnet_nat_config_hash"), [1.0; 2], "strays have none");
+}
+
+#[test]
 fn workers_are_added_up() {
     let (router, writer) = (Router::idle(config(), 2), Writer::of_worker());
     for (worker, n) in router.active_config().counters.iter().zip([3, 40]) {

@@ -3,7 +3,7 @@
 
 use serde_json::{Value, json};
 
-use super::DASHBOARD;
+use super::{DASHBOARD, FLEET};
 use crate::harness::{has_yaml, yaml};
 
 const COMPOSE: &str = include_str!("../../../deploy/compose.yaml");
@@ -74,8 +74,13 @@ fn the_dashboard_is_where_its_provider_looks() {
 
 /// Whatever id Grafana gives to it.
 #[test]
-fn the_dashboard_asks_the_data_source_that_is_chosen() {
-    let dashboard: Value = serde_json::from_str(DASHBOARD).unwrap();
+fn the_dashboards_ask_the_data_source_that_is_chosen() {
+    for (dashboard, least) in [(DASHBOARD, 20), (FLEET, 10)] {
+        asks_what_is_chosen(&serde_json::from_str(dashboard).unwrap(), least);
+    }
+}
+
+fn asks_what_is_chosen(dashboard: &Value, least: usize) {
     let variables = dashboard["templating"]["list"].as_array().unwrap();
     let chosen = variables.iter().find(|variable| variable["name"] == "datasource").unwrap();
     assert_eq!((&chosen["type"], &chosen["query"]), (&json!("datasource"), &json!("prometheus")));
@@ -84,9 +89,49 @@ fn the_dashboard_asks_the_data_source_that_is_chosen() {
     let queried = variables.iter().filter(|variable| variable["type"] == "query");
     let annotations = dashboard["annotations"]["list"].as_array().unwrap();
     let all: Vec<_> = panels.chain(queried).chain(annotations).collect();
-    assert!(all.len() > 20, "{}", all.len());
+    assert!(all.len() > least, "{}", all.len());
     for asking in all {
         let source = json!({ "type": "prometheus", "uid": "${datasource}" });
         assert_eq!(asking["datasource"], source, "{asking}");
+    }
+}
+
+/// Whatever a panel or the head of a dashboard leads to is a dashboard, with variables that it has.
+#[test]
+fn the_dashboards_lead_to_each_other() {
+    let dashboards = [DASHBOARD, FLEET].map(|text| serde_json::from_str::<Value>(text).unwrap());
+    let mut links = 0;
+    for (dashboard, other) in dashboards.iter().zip(dashboards.iter().rev()) {
+        let head = dashboard["links"].as_array().unwrap().iter();
+        let to = head.map(|link| link["url"].as_str().unwrap()).collect::<Vec<_>>();
+        let uid = other["uid"].as_str().unwrap();
+        assert_eq!(to, [format!("/d/{uid}/{uid}")], "the head leads to the other one");
+        let text = dashboard.to_string();
+        for url in text.split("\"url\":\"").skip(1).map(|rest| rest.split('"').next().unwrap()) {
+            let uid = url.split(['/', '?']).nth(2).unwrap();
+            let led_to = dashboards.iter().find(|dashboard| dashboard["uid"] == uid).expect(url);
+            let variables = led_to["templating"]["list"].as_array().unwrap();
+            for name in url.split("&var-").skip(1).map(|rest| rest.split('=').next().unwrap()) {
+                assert!(variables.iter().any(|variable| variable["name"] == name), "{url}: {name}");
+            }
+            links += 1;
+        }
+    }
+    assert!(links > 5, "{links}");
+}
+
+/// The worst comes first.
+#[test]
+fn the_tables_of_the_fleet_are_sorted() {
+    let fleet: Value = serde_json::from_str(FLEET).unwrap();
+    let panels = fleet["panels"].as_array().unwrap();
+    let tables: Vec<_> = panels.iter().filter(|panel| panel["type"] == "table").collect();
+    assert_eq!(tables.len(), 4);
+    for table in tables {
+        let sort = &table["options"]["sortBy"][0];
+        assert_eq!(sort["desc"], true, "{}", table["title"]);
+        let organize = table["transformations"].as_array().unwrap().last().unwrap();
+        let mut names = organize["options"]["renameByName"].as_object().unwrap().values();
+        assert!(names.any(|name| *name == sort["displayName"]), "{}", table["title"]);
     }
 }

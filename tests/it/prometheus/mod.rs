@@ -2,6 +2,7 @@
 //! traffic, its sums are right, the alerts that ought to fire do, and whatever the dashboard and
 //! docs/monitoring.md ask has an answer.
 
+mod fleet;
 mod grafana;
 mod rules;
 mod server;
@@ -18,6 +19,7 @@ use crate::harness::{
 };
 
 const DASHBOARD: &str = include_str!("../../../deploy/grafana/dashboards/pnet-nat.json");
+const FLEET: &str = include_str!("../../../deploy/grafana/dashboards/pnet-nat-fleet.json");
 const PAGE: &str = include_str!("../../../docs/monitoring.md");
 
 const ANSWERED: u64 = 25;
@@ -43,7 +45,8 @@ fn a_server_scrapes_a_relay_under_traffic() {
     the_sums_are_right(&prometheus);
     the_right_alerts_fire(&prometheus);
     a_failed_reload_is_told_until_one_succeeds(&prometheus, &relay, &site.configuration(&settings));
-    every_query_of_the_dashboard_has_an_answer(&prometheus);
+    let queries = every_query_of_a_dashboard_has_an_answer(&prometheus, DASHBOARD);
+    assert!(queries > 30, "{queries}");
     every_query_of_the_page_is_understood(&prometheus);
     relay.finish();
 }
@@ -164,8 +167,9 @@ fn a_failed_reload_is_told_until_one_succeeds(
     eventually("the alert is over", || prometheus.query(alert).ok()?.is_empty().then_some(()));
 }
 
-fn every_query_of_the_dashboard_has_an_answer(prometheus: &Prometheus) {
-    let dashboard: Value = serde_json::from_str(DASHBOARD).unwrap();
+/// Returns how many queries its panels have.
+fn every_query_of_a_dashboard_has_an_answer(prometheus: &Prometheus, dashboard: &str) -> usize {
+    let dashboard: Value = serde_json::from_str(dashboard).unwrap();
     let panels = dashboard["panels"].as_array().unwrap();
     let mut queries = 0;
     for panel in panels.iter().filter(|panel| panel["type"] != "row") {
@@ -181,8 +185,6 @@ fn every_query_of_the_dashboard_has_an_answer(prometheus: &Prometheus) {
             queries += 1;
         }
     }
-    assert!(queries > 30, "{queries}");
-
     let variables = dashboard["templating"]["list"].as_array().unwrap();
     for variable in variables.iter().filter(|variable| variable["type"] == "query") {
         let query = filled_in(&variable["query"]["query"]);
@@ -193,13 +195,15 @@ fn every_query_of_the_dashboard_has_an_answer(prometheus: &Prometheus) {
     for annotation in dashboard["annotations"]["list"].as_array().unwrap() {
         prometheus.eventually(&filled_in(&annotation["expr"]));
     }
+    queries
 }
 
 /// A query as Grafana asks it when everything is chosen.
 fn filled_in(query: &Value) -> String {
     let query = query.as_str().expect("a query").replace("$__rate_interval", "5m");
     let query = query.replace("$__range", "5m");
-    let query = ["$instance", "$node", "$net"].iter().fold(query, |q, name| q.replace(name, ".*"));
+    let query =
+        ["$instance", "$node", "$net", "$site"].iter().fold(query, |q, name| q.replace(name, ".*"));
     assert!(!query.contains('$'), "{query}");
     query
 }

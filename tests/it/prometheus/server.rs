@@ -38,8 +38,8 @@ pub(super) struct Prometheus {
 }
 
 impl Prometheus {
-    /// Starts one beside a site's relay. It scrapes each second, and calls a node silent after 5 s,
-    /// since nobody waits for minutes.
+    /// Starts one beside a site's relay. It scrapes each second, and calls a node silent after 5 s and
+    /// configurations different after 1 s, since nobody waits for minutes.
     pub(super) fn start(site: &Site) -> Self {
         Self::start_with(site, &[])
     }
@@ -53,10 +53,11 @@ impl Prometheus {
             assert!(configuration.contains(from), "{from}");
             configuration = configuration.replace(from, to);
         }
+        let rules = RULES.replace("offset 5m", "offset 5s").replace("for: 15m", "for: 1s");
         let folder = tempfile::tempdir().unwrap();
         for (file, text) in [
             ("prometheus.yml", configuration.as_str()),
-            ("pnet-nat.rules.yml", &RULES.replace("offset 5m", "offset 5s")),
+            ("pnet-nat.rules.yml", &rules),
             ("token", "s3cr3t-0123456789"),
         ] {
             fs::write(folder.path().join(file), text).unwrap();
