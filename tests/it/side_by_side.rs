@@ -1,19 +1,16 @@
 //! `pnet-nat status --target A --target B`: several relays side by side.
 
-use serde_json::{Value, json};
-
 use nix::sys::signal::Signal;
+use serde_json::{Value, json};
 
 use crate::harness::{Process, Relay, Settings, Site, eventually, exchange, pnet_nat, request};
 
 /// Exit code, stdout and stderr.
 fn status(targets: &[&str], arguments: &[&str]) -> (Option<i32>, String, String) {
-    let mut command = pnet_nat(&["status"]);
-    targets.iter().for_each(|target| drop(command.args(["--target", target])));
-    let mut status = Process::start({
-        command.args(arguments);
-        command
-    });
+    let targets = targets.iter().flat_map(|target| ["--target", target]);
+    let arguments: Vec<_> =
+        ["status"].into_iter().chain(targets).chain(arguments.iter().copied()).collect();
+    let mut status = Process::start(pnet_nat(&arguments));
     (status.end(), status.stdout(), status.stderr())
 }
 
@@ -126,11 +123,8 @@ fn one_that_does_not_answer_is_told_and_the_others_are_shown() {
         assert_eq!((code, said.contains("give one --target")), (Some(1), true), "{said}");
     }
     // As it was called before.
-    let mut command = pnet_nat(&["status", "--url", &here, "--url", &nobody, "--watch", "50ms"]);
-    let mut watch = Process::start({
-        command.env("PNET_NAT_STATUS_URL", "http://127.0.0.1:1");
-        command
-    });
+    let arguments = ["status", "--url", &here, "--url", &nobody, "--watch", "50ms"];
+    let mut watch = Process::start(pnet_nat(&arguments));
     eventually("it is shown again", || {
         (watch.stdout().matches("the same at 1 of 1").count() > 1).then_some(())
     });
