@@ -384,7 +384,8 @@ fn nets_show_what_was_counted() {
         section,
         json!({
             "name": "section-1", "kind": "udp_range_net", "start_port": 20000,
-            "subnet": "172.17.17.0/24", "allow": ["198.51.100.0/24"],
+            "config_hash": config().hash_of(SECTION), "subnet": "172.17.17.0/24",
+            "allow": ["198.51.100.0/24"],
             "credentials": [
                 { "name": "service", "has_device_password": false },
                 { "name": "team-b", "has_device_password": true },
