@@ -34,7 +34,7 @@ pub fn reloading() {
     notify(&[NotifyState::Reloading, now, NotifyState::Status("reading the configuration again")]);
 }
 
-/// Tells the manager that the relay takes no more requests.
+/// Tells the manager that the relay is about to take no more requests.
 pub fn stopping() {
     notify(&[NotifyState::Stopping, NotifyState::Status("waiting for answers that are due")]);
 }

@@ -66,7 +66,7 @@ const ROUTES: [(&str, &str); 14] = [
     ("/", "the status page, for browsers"),
     ("/metrics", "for Prometheus"),
     ("/-/healthy", "200 as long as the process runs"),
-    ("/-/ready", "200 while it relays, 503 before and after"),
+    ("/-/ready", "200 while it relays, 503 before, and from SIGTERM on"),
     (
         "/-/reload",
         "POST: reads the configuration again; over the control socket, or with [admin] reload",

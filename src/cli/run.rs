@@ -14,6 +14,7 @@ use anyhow::Context;
 use tokio::runtime::Runtime;
 use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio::sync::Notify;
+use tokio::time::timeout;
 
 use super::signals::{Signals, let_hangup_through};
 use super::{BAD_USE, TRY_AGAIN, WITHOUT_FILE, complain, load, source, told};
@@ -37,7 +38,8 @@ const ADDRESS_LOOK: Duration = Duration::from_millis(100);
 
 /// Relay between clients on the Internet and the server nodes of a plant.
 ///
-/// SIGTERM or SIGINT stops it: it takes no more requests, waits for answers that are still due, and exits
+/// SIGTERM or SIGINT stops it: it says that it is not ready, goes on for as long as `[runtime] pre_drain`
+/// says, takes no more requests, waits for answers that are still due, and exits
 /// 0. A second signal stops it at once. On SIGHUP it reads its configuration again.
 #[derive(clap::Args)]
 #[command(after_help = format!(
@@ -220,20 +222,29 @@ fn relay(
             }
             future::pending().await
         };
-        tokio::select! {
-            name = signals.next() => tracing::info!(signal = name, "stopping"),
+        let leaving = async {
+            tracing::info!(signal = signals.next().await, "stopping");
+            service::stopping();
+            // A second signal ends this.
+            timeout(router.announce_end(), signals.next()).await.ok()
+        };
+        let again = tokio::select! {
+            again = leaving => again,
             never = noise.run() => never,
             never = observer.run() => never,
             never = reloading => never,
             never = service::watchdog(Arc::clone(&router)) => never,
-        }
-        service::stopping();
-        tokio::select! {
-            () = router.shut_down() => {}
-            name = signals.next() => {
-                tracing::warn!(signal = name, "stopping at once");
-                return Ok(ExitCode::FAILURE);
-            }
+        };
+        let stopped_at_once = match again {
+            Some(name) => Some(name),
+            None => tokio::select! {
+                () = router.shut_down() => None,
+                name = signals.next() => Some(name),
+            },
+        };
+        if let Some(signal) = stopped_at_once {
+            tracing::warn!(signal, "stopping at once");
+            return Ok(ExitCode::FAILURE);
         }
         noise.report_rest();
         stopped.notify_one();

@@ -2,10 +2,11 @@
 
 use std::collections::BTreeMap;
 use std::fmt::{self, Display, Formatter};
+use std::time::Duration;
 
 use serde::Serialize;
 
-use super::Config;
+use super::{Config, Runtime};
 use crate::nat::{Credential, Mapping, Net, Table};
 use crate::pnet::wire::Password;
 
@@ -159,10 +160,14 @@ fn settings(old: &Config, new: &Config) -> Vec<&'static str> {
         ("[datapath]", old.datapath != new.datapath),
         ("[log]", old.log != new.log),
         // Its other keys need a restart: `not_in_force` tells of them.
-        ("[runtime]", old.runtime.drain != new.runtime.drain),
+        ("[runtime]", times(&old.runtime) != times(&new.runtime)),
         ("[admin]", old.admin != new.admin),
     ];
     changed.into_iter().filter_map(|(key, changed)| changed.then_some(key)).collect()
+}
+
+fn times(runtime: &Runtime) -> [Duration; 2] {
+    [runtime.pre_drain, runtime.drain]
 }
 
 /// A text for each net: its name and its nodes, written as in the file.

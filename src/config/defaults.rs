@@ -43,6 +43,6 @@ impl Default for Log {
 
 impl Default for Runtime {
     fn default() -> Self {
-        Self { user: None, workers: None, drain: Duration::from_secs(5) }
+        Self { user: None, workers: None, pre_drain: Duration::ZERO, drain: Duration::from_secs(5) }
     }
 }

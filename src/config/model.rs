@@ -54,6 +54,8 @@ pub struct Runtime {
     pub user: Option<String>,
     /// Worker threads; none: one for each two cores, since the kernel's own work takes the other one.
     pub workers: Option<NonZeroUsize>,
+    /// How long a stopping relay goes on as before, but for saying that it is not ready.
+    pub pre_drain: Duration,
     /// How long a stopping relay waits for answers that are still due.
     pub drain: Duration,
 }

@@ -117,6 +117,7 @@ pub(super) fn log(mut section: Section<'_>) -> Log {
 pub(super) fn runtime(mut section: Section<'_>) -> Runtime {
     let user = section.key("user", "\"pnet-nat\"");
     let workers = section.key("workers", "2");
+    let pre_drain = section.key("pre_drain", "\"3s\"");
     let drain = section.key("drain", "\"5s\"");
     section.finish();
     let user = match user.is_integer() {
@@ -126,6 +127,9 @@ pub(super) fn runtime(mut section: Section<'_>) -> Runtime {
     Runtime {
         user,
         workers: workers.integer(1..=256).and_then(NonZeroUsize::new),
+        pre_drain: pre_drain
+            .duration(Duration::ZERO..=LONGEST)
+            .unwrap_or(Runtime::default().pre_drain),
         drain: drain.duration(Duration::ZERO..=LONGEST).unwrap_or(Runtime::default().drain),
     }
 }

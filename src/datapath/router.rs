@@ -206,6 +206,12 @@ impl Router {
         Arc::new(Self::new(active, audit, ports, Vec::new(), Instant::now()))
     }
 
+    /// Says from now on that it is not ready, and goes on as before. Returns for how long that is wanted.
+    pub fn announce_end(&self) -> Duration {
+        self.ready.store(false, Ordering::Release);
+        self.active_config().config.runtime.pre_drain
+    }
+
     /// Takes no more requests, waits for the answers that are due, and ends the workers. It waits
     /// at most for the configured drain time, and returns when the workers have ended.
     pub async fn shut_down(&self) {

@@ -180,3 +180,34 @@ fn keep_asking(client: &Peer, public: SocketAddr, answers: &AtomicU64, over: &At
         answers.fetch_add(1, Relaxed);
     }
 }
+
+/// Who leads clients here by `/-/ready` has time to lead them elsewhere, and those that still come are served.
+#[test]
+fn before_it_drains_it_goes_on_and_says_that_it_is_not_ready() {
+    let site = Site::claim();
+    let runtime = "workers = 2\npre_drain = \"1h\"\ndrain = \"1h\"";
+    let mut relay = site.relay(Settings { runtime, ..Settings::default() });
+    let (client, node) = (site.client(), site.node(4));
+    exchange(&client, site.public(4), &node, 4);
+    relay.process.signal(Signal::SIGTERM);
+    eventually("it is not ready", || (is_ready(&relay) == Some(false)).then_some(()));
+    for client in [client, site.client()] {
+        exchange(&client, site.public(4), &node, 4);
+    }
+    relay.at_rest();
+    relay.process.signal(Signal::SIGTERM);
+    assert_eq!(relay.process.end(), Some(1));
+    assert_eq!(relay.process.logged("stopping at once").len(), 1);
+}
+
+/// After that time it takes no more requests, and ends as it does without.
+#[test]
+fn the_time_before_it_drains_ends() {
+    let site = Site::claim();
+    let runtime = "workers = 2\npre_drain = \"1s\"\ndrain = \"1h\"";
+    let mut relay = site.relay(Settings { runtime, ..Settings::default() });
+    let start = Instant::now();
+    relay.process.signal(Signal::SIGTERM);
+    assert_eq!(relay.process.end(), Some(0));
+    assert!(start.elapsed() >= Duration::from_secs(1), "{:?}", start.elapsed());
+}

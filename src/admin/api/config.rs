@@ -38,6 +38,7 @@ struct ConfigInForce<'a> {
     /// Null: one for each two cores.
     workers: Option<usize>,
     receive_buffer_bytes: usize,
+    pre_drain_seconds: f64,
     drain_seconds: f64,
     /// Null when the admin server is disabled.
     admin_listen: Option<SocketAddr>,
@@ -83,6 +84,7 @@ impl<'a> ConfigInForce<'a> {
             user: runtime.user.as_deref(),
             workers: runtime.workers.map(usize::from),
             receive_buffer_bytes: datapath.receive_buffer,
+            pre_drain_seconds: runtime.pre_drain.as_secs_f64(),
             drain_seconds: runtime.drain.as_secs_f64(),
             admin_listen: admin.as_ref().map(|admin| admin.listen),
             admin_has_token: admin.as_ref().is_some_and(|admin| admin.token.is_some()),

@@ -141,6 +141,7 @@ fn the_sound_configuration_is_sound_and_complete() {
     assert_eq!(config.table.header, Header([2, 0, 0, 0]));
     assert_eq!(config.runtime.workers, None);
     assert_eq!(config.datapath.receive_buffer, 1_048_576);
+    assert_eq!(config.runtime.pre_drain, Duration::ZERO);
     assert_eq!(config.runtime.drain, Duration::from_secs(5));
     assert_eq!(config.admin.unwrap().listen, "127.0.0.1:9378".parse().unwrap());
     let limits = Limits {
@@ -203,6 +204,7 @@ audit_lines = 7
 [runtime]
 user = 990
 workers = 3
+pre_drain = "3s"
 drain = "0s"
 [admin]
 enabled = false
@@ -223,6 +225,7 @@ listen = "[::1]:0"
     assert_eq!((config.datapath, config.log), (datapath, Log { audit_lines: 7 }));
     assert_eq!(config.runtime.user.as_deref(), Some("990"));
     assert_eq!(config.runtime.workers, NonZeroUsize::new(3));
+    assert_eq!(config.runtime.pre_drain, Duration::from_secs(3));
     assert_eq!(config.runtime.drain, Duration::ZERO);
     assert!(config.admin.is_none());
     let [section, press] = config.table.nets() else { panic!("two nets") };
