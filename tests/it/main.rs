@@ -9,6 +9,7 @@ mod adapter;
 mod admin;
 mod audit;
 mod bad_input;
+mod bgp;
 mod causes;
 mod check;
 mod client_sheet;
