@@ -607,3 +607,18 @@ fn another_route_is_taken() {
         relay.finish();
     });
 }
+
+/// The public address stands on lo, as where several relays announce it: requests come in by another interface.
+#[test]
+fn a_public_address_on_lo_is_carried() {
+    let Some(network) = Network::build() else { return };
+    network.at_the_edge(|| {
+        network.edge.ip("address add 192.0.2.5/32 dev lo");
+        network.internet.ip("route add 192.0.2.5/32 via 198.51.100.1");
+        let place = Place { listen: r#"["192.0.2.5"]"#, ..place(&network) };
+        let relay = place.relay(&settings());
+        let ends = Ends::of(&network, "198.51.100.7", 4, network.public("192.0.2.5", 4));
+        ends.expect_carried(&relay);
+        relay.finish();
+    });
+}

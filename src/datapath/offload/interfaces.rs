@@ -2,13 +2,14 @@
 
 use std::collections::BTreeSet;
 use std::io;
-use std::net::{IpAddr, SocketAddr};
+use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::os::fd::{AsRawFd, OwnedFd};
 use std::sync::{Arc, Weak};
 use std::time::Duration;
 
 use nix::errno::Errno;
-use nix::ifaddrs::getifaddrs;
+use nix::ifaddrs::{InterfaceAddress, getifaddrs};
+use nix::net::if_::InterfaceFlags;
 use nix::poll::{PollTimeout, poll};
 use nix::sys::socket::{
     AddressFamily, MsgFlags, NetlinkAddr, SockFlag, SockProtocol, SockType, bind, recv, socket,
@@ -49,18 +50,25 @@ impl Wanted {
     }
 
     /// The interfaces as they are now: those that have a public address, and those that lead to the nodes.
-    /// Those whose frames have no hardware addresses are left out: tunnels.
+    /// A public address on lo or a dummy interface is reached by a route, through any of them. Interfaces
+    /// whose frames have no hardware addresses are left out: tunnels.
     pub(super) fn interfaces(&self, ports: &Arc<Ports>) -> io::Result<BTreeSet<Interface>> {
         let all: Vec<_> = getifaddrs()?.collect();
         let towards =
             self.servers.iter().flat_map(|&server| options::source_towards(server, ports));
         let wanted: BTreeSet<IpAddr> = self.listen.iter().copied().chain(towards).collect();
-        let any = wanted.iter().any(IpAddr::is_unspecified);
+        let address = |entry: &InterfaceAddress| Some(entry.address?.as_sockaddr_in()?.ip());
+        let is_routed = |entry: &InterfaceAddress| {
+            let line =
+                !entry.flags.intersects(InterfaceFlags::IFF_LOOPBACK | InterfaceFlags::IFF_NOARP);
+            let is_it =
+                |address: Ipv4Addr| !address.is_loopback() && self.listen.contains(&address.into());
+            !line && address(entry).is_some_and(is_it)
+        };
+        let any = wanted.iter().any(IpAddr::is_unspecified) || all.iter().any(is_routed);
         let has_it = |name: &str| {
             all.iter().filter(|entry| entry.interface_name == name).any(|entry| {
-                let address =
-                    entry.address.and_then(|address| Some(address.as_sockaddr_in()?.ip()));
-                address.is_some_and(|address| any || wanted.contains(&IpAddr::V4(address)))
+                address(entry).is_some_and(|address| any || wanted.contains(&address.into()))
             })
         };
         let links = all.iter().filter_map(|entry| {
