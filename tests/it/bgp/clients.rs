@@ -97,7 +97,7 @@ impl Clients {
         self.clients.iter().map(last).collect()
     }
 
-    /// How many requests since then got no answer within the time-out.
+    /// How many requests since then got no answer in time, but perhaps a late one.
     pub(super) fn lost_since(&self, begun: Instant) -> usize {
         let of_client = |client: &Client| {
             let requests = client.requests();

@@ -189,9 +189,11 @@ impl Host {
         let birdc =
             format!("#!/bin/sh\nexec /usr/sbin/birdc -s {} \"$@\"\n", place("socket").display());
         write_program(&place("birdc"), &birdc);
-        let mut route = Command::new(place("pnet-nat-route"));
+        // By `ip`, so that /sys shows the namespace's interfaces.
+        let mut route = Command::new("/usr/sbin/ip");
+        route.args(["netns", "exec", namespace.name()]).arg(place("pnet-nat-route"));
         route.env("PATH", format!("{}:/usr/bin:/bin", folder.path().display()));
-        let route = namespace.enter(|| Process::start(route));
+        let route = Process::start(route);
         let mut host = Self { namespace, number, bird, relay: None, _route: route, folder };
         host.start_relay();
         host
