@@ -223,7 +223,8 @@ fn relay(
             future::pending().await
         };
         let leaving = async {
-            tracing::info!(signal = signals.next().await, "stopping");
+            let name = signals.next().await;
+            tracing::info!(signal = name, "stopping");
             service::stopping();
             // A second signal ends this.
             timeout(router.announce_end(), signals.next()).await.ok()

@@ -59,11 +59,11 @@ impl Wanted {
         let wanted: BTreeSet<IpAddr> = self.listen.iter().copied().chain(towards).collect();
         let address = |entry: &InterfaceAddress| Some(entry.address?.as_sockaddr_in()?.ip());
         let is_routed = |entry: &InterfaceAddress| {
-            let line =
-                !entry.flags.intersects(InterfaceFlags::IFF_LOOPBACK | InterfaceFlags::IFF_NOARP);
+            let lo_or_dummy = InterfaceFlags::IFF_LOOPBACK | InterfaceFlags::IFF_NOARP;
+            let is_tunnel = entry.flags.contains(InterfaceFlags::IFF_POINTOPOINT);
             let is_it =
                 |address: Ipv4Addr| !address.is_loopback() && self.listen.contains(&address.into());
-            !line && address(entry).is_some_and(is_it)
+            entry.flags.intersects(lo_or_dummy) && !is_tunnel && address(entry).is_some_and(is_it)
         };
         let any = wanted.iter().any(IpAddr::is_unspecified) || all.iter().any(is_routed);
         let has_it = |name: &str| {
