@@ -4,22 +4,20 @@
 //! Needs kubectl and kubernetes-validate; running as the container's user needs root and setpriv, the
 //! rules need promtool.
 
-use std::fs::{self, Permissions};
-use std::os::unix::fs::{PermissionsExt, chown, symlink};
+mod active_active;
+mod container;
+mod plants;
+
+use std::fs;
 use std::path::Path;
 use std::process::Command;
 
-use nix::sys::signal::Signal;
-use nix::unistd::geteuid;
 use serde_json::{Value, json};
 
-use crate::harness::{
-    Metrics, PASSWORD, Process, Site, TOOLS, eventually, exchange, has_yaml, left_out, pnet_nat,
-    yaml,
-};
+use crate::harness::{PASSWORD, TOOLS, has_yaml, left_out, yaml};
 
 const FOLDER: &str = "deploy/kubernetes";
-const README: &str = include_str!("../../deploy/kubernetes/README.md");
+const README: &str = include_str!("../../../deploy/kubernetes/README.md");
 /// The oldest and the newest that are to take it.
 const VERSIONS: [&str; 2] = ["1.29", "1.37"];
 
@@ -41,15 +39,19 @@ fn build_in(folder: &Path) -> Option<String> {
 
 /// The manifests with one of the components, which are left out as the files are.
 fn build_with(component: &str) -> Option<String> {
-    let folder = tempfile::tempdir().unwrap();
-    let copied = Command::new("cp").args(["-r", FOLDER]).arg(folder.path()).status().unwrap();
+    build_changed("", "\n#components: [monitoring]\n", &format!("\ncomponents: [{component}]\n"))
+}
+
+/// The manifests of a folder with something else in its kustomization.yaml.
+fn build_changed(folder: &str, from: &str, to: &str) -> Option<String> {
+    let copy = tempfile::tempdir().unwrap();
+    let copied = Command::new("cp").args(["-r", FOLDER]).arg(copy.path()).status().unwrap();
     assert!(copied.success());
-    let folder = folder.path().join("kubernetes");
+    let folder = copy.path().join("kubernetes").join(folder);
     let file = folder.join("kustomization.yaml");
     let text = fs::read_to_string(&file).unwrap();
-    let none = "\n#components: [monitoring]\n";
-    assert!(text.contains(none), "without the operator it is left out");
-    fs::write(&file, text.replace(none, &format!("\ncomponents: [{component}]\n"))).unwrap();
+    assert!(text.contains(from), "{from}");
+    fs::write(&file, text.replace(from, to)).unwrap();
     build_in(&folder)
 }
 
@@ -61,6 +63,26 @@ fn complaint(manifests: &str, version: &str) -> Option<String> {
     let mut command = Command::new(format!("{TOOLS}/kubernetes-validate"));
     let output = command.args(["--strict", "-k", version]).arg(file).output().unwrap();
     (!output.status.success()).then(|| format!("{output:?}"))
+}
+
+/// The Deployment or the DaemonSet.
+fn workload(manifests: &str) -> Value {
+    let mut found = yaml(manifests).into_iter().filter(|manifest| {
+        ["Deployment", "DaemonSet"].contains(&manifest["kind"].as_str().unwrap())
+    });
+    let workload = found.next().expect("a workload");
+    assert!(found.next().is_none(), "one workload");
+    workload
+}
+
+/// One node at a time, and none more before the relay there has been ready for a while.
+fn assert_that_one_goes_after_the_other(workload: &Value) {
+    let spec = &workload["spec"];
+    let strategy = spec.get("strategy").unwrap_or(&spec["updateStrategy"]);
+    assert_eq!(strategy["rollingUpdate"], json!({"maxSurge": 0, "maxUnavailable": 1}));
+    assert!(spec["minReadySeconds"].as_u64() > Some(0));
+    let probe = &spec["template"]["spec"]["containers"][0]["readinessProbe"];
+    assert_eq!(probe["httpGet"]["path"], "/-/ready");
 }
 
 /// The manifest of this kind.
@@ -93,6 +115,7 @@ fn the_manifests_are_as_the_schemas_want_them() {
     let pod = &deployment["spec"]["template"]["spec"];
     let port = pod["containers"][0]["ports"][0]["containerPort"].to_string();
     assert_eq!(annotations["prometheus.io/port"], port);
+    assert_that_one_goes_after_the_other(&deployment);
 }
 
 /// As README.md has it: with `components` in force. The operator's kinds are in no schema here, so what
@@ -134,13 +157,13 @@ fn what_the_operator_gets_fits_the_relays() {
 /// The rules are written once: the command in the file makes this one of the other.
 #[test]
 fn the_rules_of_the_operator_are_those_of_prometheus() {
-    let made = include_str!("../../deploy/kubernetes/monitoring/rules.yaml");
+    let made = include_str!("../../../deploy/kubernetes/monitoring/rules.yaml");
     let folder = tempfile::tempdir().unwrap();
     let monitoring = folder.path().join("kubernetes/monitoring");
     fs::create_dir_all(&monitoring).unwrap();
     fs::create_dir(folder.path().join("prometheus")).unwrap();
     fs::write(monitoring.join("rules.yaml"), made).unwrap();
-    let rules = include_str!("../../deploy/prometheus/pnet-nat.rules.yml");
+    let rules = include_str!("../../../deploy/prometheus/pnet-nat.rules.yml");
     fs::write(folder.path().join("prometheus/pnet-nat.rules.yml"), rules).unwrap();
     for command in made.lines().filter_map(|line| line.strip_prefix("#   ")) {
         let mut shell = Command::new("sh");
@@ -198,7 +221,7 @@ fn the_scrape_job_of_readme_is_one_that_prometheus_takes() {
     let job = job.split("```").next().unwrap();
     let jobs = &yaml(job)[0]["scrape_configs"];
     assert_eq!(jobs[0]["job_name"], "pnet-nat");
-    let rules = include_str!("../../deploy/prometheus/pnet-nat.rules.yml");
+    let rules = include_str!("../../../deploy/prometheus/pnet-nat.rules.yml");
     assert!(rules.contains("up{job=\"pnet-nat\"}"));
     // Debian's Prometheus cannot look for pods.
     let (before, rest) = job.split_once("    kubernetes_sd_configs:\n").unwrap();
@@ -210,133 +233,4 @@ fn the_scrape_job_of_readme_is_one_that_prometheus_takes() {
     let check = ["check", "config", "--syntax-only", file.to_str().unwrap()];
     let output = Command::new("promtool").args(check).output().unwrap();
     assert!(output.status.success(), "{output:?}");
-}
-
-/// Lays out a projected volume: `..data` leads to a folder, and each entry to one in there.
-fn mount(folder: &Path, volume: &Value, configuration: &str, group: u32) {
-    let mode = volume["projected"]["defaultMode"].as_u64().unwrap() as u32;
-    let data = folder.join("..2026_11_22");
-    fs::create_dir_all(data.join("secrets")).unwrap();
-    let write = |path: &str, content: &[u8]| {
-        let path = data.join(path);
-        fs::write(&path, content).unwrap();
-        chown(&path, None, Some(group)).unwrap();
-        fs::set_permissions(&path, Permissions::from_mode(mode)).unwrap();
-    };
-    write("pnet-nat.toml", configuration.as_bytes());
-    for item in volume["projected"]["sources"][1]["secret"]["items"].as_array().unwrap() {
-        let content = match item["key"].as_str().unwrap() {
-            "section-1" => PASSWORD.as_slice(),
-            "admin" => TOKEN.as_bytes(),
-            key => panic!("{key} is not in the secret of README.md"),
-        };
-        write(item["path"].as_str().unwrap(), content);
-    }
-    symlink("..2026_11_22", folder.join("..data")).unwrap();
-    for entry in ["pnet-nat.toml", "secrets"] {
-        symlink(format!("..data/{entry}"), folder.join(entry)).unwrap();
-    }
-    for path in [folder, &data, &data.join("secrets")] {
-        fs::set_permissions(path, Permissions::from_mode(0o755)).unwrap();
-    }
-}
-
-#[test]
-fn the_container_relays_as_its_manifest_has_it() {
-    let Some(manifests) = build() else { return };
-    relays(&manifests);
-}
-
-/// As README.md has it. The container begins as root, with some capabilities of root's; the relay is the
-/// same user as without, and nothing of this is left.
-#[test]
-fn the_container_with_flows_in_the_kernel_gives_its_rights_up() {
-    let Some(manifests) = build_with("kernel-flows") else { return };
-    for version in VERSIONS {
-        assert_eq!(complaint(&manifests, version), None);
-    }
-    let deployment = manifest(&manifests, "Deployment");
-    let rights = &deployment["spec"]["template"]["spec"]["containers"][0]["securityContext"];
-    assert_eq!((&rights["runAsUser"], &rights["runAsNonRoot"]), (&json!(0), &json!(false)));
-    assert_eq!(rights["capabilities"]["drop"], json!(["ALL"]));
-    assert_eq!(rights["allowPrivilegeEscalation"], json!(false));
-    relays(&manifests);
-}
-
-fn relays(manifests: &str) {
-    if !geteuid().is_root() || Command::new("setpriv").arg("--version").output().is_err() {
-        return left_out("root and setpriv, to become the container's user");
-    }
-    let deployment = manifest(manifests, "Deployment");
-    let pod = &deployment["spec"]["template"]["spec"];
-    let container = &pod["containers"][0];
-    // What a container says of itself goes before what is said of the pod.
-    let id = |name: &str| {
-        let id = container["securityContext"].get(name);
-        id.unwrap_or(&pod["securityContext"][name]).as_u64().unwrap()
-    };
-
-    let site = Site::claim();
-    let mut configuration =
-        manifest(manifests, "ConfigMap")["data"]["pnet-nat.toml"].as_str().unwrap().to_owned();
-    let (public, subnet) = (site.public_address(), site.address(0));
-    for (from, to) in [
-        (r#"listen = ["0.0.0.0"]"#, format!(r#"listen = ["{public}"]"#)),
-        ("0.0.0.0:9378", site.admin().to_string()),
-        ("start_port = 20000", format!("start_port = {}", site.start_port())),
-        ("172.17.17.0", subnet.to_string()),
-        ("198.51.100.0/24", format!("{subnet}/24")),
-    ] {
-        assert!(configuration.contains(from), "{from}");
-        configuration = configuration.replace(from, &to);
-    }
-    let files = tempfile::tempdir().unwrap();
-    mount(files.path(), &pod["volumes"][0], &configuration, id("fsGroup") as u32);
-    // Whoever it is can run the copy, and not the original.
-    let program = files.path().join("pnet-nat");
-    fs::copy(pnet_nat(&[]).get_program(), &program).unwrap();
-    fs::set_permissions(&program, Permissions::from_mode(0o755)).unwrap();
-
-    let mut command = Command::new("setpriv");
-    command.arg(format!("--reuid={}", id("runAsUser")));
-    command.arg(format!("--regid={}", id("runAsGroup")));
-    command.arg(format!("--groups={}", id("fsGroup")));
-    let added = container["securityContext"]["capabilities"]["add"].as_array();
-    let added = added.into_iter().flatten().map(|name| name.as_str().unwrap().to_lowercase());
-    let bounds: String = added.map(|name| format!(",+{name}")).collect();
-    command.arg(format!("--bounding-set=-all{bounds}"));
-    command.args(["--no-new-privs", "--inh-caps=-all"]).arg(program);
-    let mounted = container["volumeMounts"][0]["mountPath"].as_str().unwrap();
-    for argument in container["args"].as_array().unwrap() {
-        let argument = argument.as_str().unwrap();
-        command.arg(argument.replace(mounted, files.path().to_str().unwrap()));
-    }
-    let mut relay = Process::start(command);
-    let agent: ureq::Agent =
-        ureq::Agent::config_builder().http_status_as_error(false).build().into();
-    let get = |path: &str| agent.get(format!("http://{}{path}", site.admin()));
-    let ask = |path: &str| Some(get(path).call().ok()?.status().as_u16());
-    for probe in ["readinessProbe", "livenessProbe"] {
-        let path = container[probe]["httpGet"]["path"].as_str().unwrap();
-        eventually("the probe is content", || {
-            assert!(!relay.has_ended(), "{}", relay.stderr());
-            (ask(path) == Some(200)).then_some(())
-        });
-    }
-    let status = fs::read_to_string(format!("/proc/{}/status", relay.id())).unwrap();
-    assert!(status.contains("\nUid:\t65532\t65532\t65532\t65532\n"), "{status}");
-    assert!(status.contains("\nGid:\t65532\t65532\t65532\t65532\n"), "{status}");
-    for set in ["CapInh", "CapPrm", "CapEff", "CapAmb"] {
-        assert!(status.contains(&format!("\n{set}:\t0000000000000000\n")), "{status}");
-    }
-    assert_eq!(ask("/metrics"), Some(401), "the network sees nothing without the token");
-    exchange(&site.client(), site.public(4), &site.node(4), 4);
-    eventually("the counters are at rest", || {
-        let scrape = get("/metrics").header("Authorization", format!("Bearer {TOKEN}"));
-        let text = scrape.call().unwrap().body_mut().read_to_string().unwrap();
-        Metrics::parse(&text).breaches().is_empty().then_some(())
-    });
-    relay.signal(Signal::SIGTERM);
-    assert_eq!(relay.end(), Some(0), "{}", relay.stderr());
-    assert!(!relay.stderr().contains(str::from_utf8(PASSWORD).unwrap()));
 }
