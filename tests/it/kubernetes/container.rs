@@ -64,7 +64,11 @@ impl EdgeNode {
         let program = tempfile::tempdir().unwrap();
         fs::set_permissions(program.path(), Permissions::from_mode(0o755)).unwrap();
         let copy = program.path().join("pnet-nat");
-        fs::copy(pnet_nat(&[]).get_program(), &copy).unwrap();
+        // By another process: a program that another test starts meanwhile would hold for a moment what this
+        // process writes, and a file that is open for writing cannot be run ("Text file busy").
+        let original = pnet_nat(&[]);
+        let copied = Command::new("cp").arg(original.get_program()).arg(&copy).status().unwrap();
+        assert!(copied.success());
         fs::set_permissions(&copy, Permissions::from_mode(0o755)).unwrap();
         Some(Self { site, configuration, pod, program })
     }
