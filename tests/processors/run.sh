@@ -94,19 +94,22 @@ boot() {
     [ "$tries" -ge 2 ] && [ "$good" = "$tries" ]
 }
 
-# One image for all processors that were compiled, each with its own program.
+# One image for all processors, each with its own program.
 images() {
     local name=localhost/pnet-nat-test programs=$work/programs processor
     rm -rf "$programs"
+    install -D target/debug/pnet-nat "$programs/amd64/pnet-nat"
     for processor in "${processors[@]}"; do
-        mkdir -p "$programs/$processor"
-        cp "$work/$processor/package/usr/bin/pnet-nat" "$programs/$processor"
+        install -D "$work/$processor/package/usr/bin/pnet-nat" "$programs/$processor/pnet-nat"
     done
-    # Neither a user namespace nor a file system of its own: nothing runs in the image.
-    BUILDAH_ISOLATION=chroot STORAGE_DRIVER=vfs deploy/container/images.sh "$programs" "$name"
-    STORAGE_DRIVER=vfs buildah manifest inspect "$name" >"$work/manifest"
-    STORAGE_DRIVER=vfs buildah manifest rm "$name" >/dev/null
-    for processor in "${processors[@]}"; do
+    # A store of its own, which needs no file system of its own. Nothing runs in the images.
+    export BUILDAH_ISOLATION=chroot CONTAINERS_STORAGE_CONF=$work/storage.conf
+    printf '[storage]\ndriver = "vfs"\ngraphroot = "%s"\nrunroot = "%s"\n' "$work/store" "$work/store-run" \
+        >"$CONTAINERS_STORAGE_CONF"
+    deploy/container/images.sh "$programs" "$name"
+    buildah manifest inspect "$name" >"$work/manifest"
+    buildah rmi --all --force >/dev/null
+    for processor in amd64 "${processors[@]}"; do
         [ "$processor" = s390x ] || grep -q "\"architecture\": \"${processor/armhf/arm}\"" "$work/manifest"
     done
 }
