@@ -99,7 +99,7 @@ const OF_ALL: [(&str, &str); 5] = [
 ];
 
 /// What each router has for itself, and what must not be told.
-const OF_NONE: [(&str, &str); 25] = [
+const OF_NONE: [(&str, &str); 26] = [
     ("public.listen", r#"["192.0.2.7"]"#),
     ("udp_range_net.servers_beyond_gateway", "true"),
     ("udp_range_net.password.file", r#""secrets/press""#),
@@ -116,6 +116,7 @@ const OF_NONE: [(&str, &str); 25] = [
     ("log.audit_lines", "501"),
     ("runtime.user", r#""nobody""#),
     ("runtime.workers", "3"),
+    ("runtime.pre_drain", r#""6s""#),
     ("runtime.drain", r#""6s""#),
     ("admin.listen", r#""127.0.0.1:9379""#),
     ("admin.token_file", r#""secrets/admin-2""#),
