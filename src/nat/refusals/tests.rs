@@ -144,6 +144,10 @@ fn a_flood_of_senders_that_come_back_pushes_nobody_out() {
 /// One engineer who polls all nodes of two nets is in the table with each of them, and does not
 /// fill it.
 #[test]
+#[cfg_attr(
+    not(all(target_pointer_width = "64", target_endian = "little")),
+    ignore = "foldhash has other values there, and by chance one of the sets may be full"
+)]
 fn all_nodes_of_nets_have_room() {
     let mut world = World::new();
     for now in 0..2 {
@@ -151,9 +155,7 @@ fn all_nodes_of_nets_have_room() {
             (1..=125).for_each(|node| world.note(now, Refused { net, node, ..of(1) }));
         }
     }
-    // Which set an entry is in depends on the hash, and that on the processor: one may be full.
-    let listed = world.refusals.list().count();
-    assert!(listed >= 245, "{listed}");
+    assert_eq!((world.refusals.list().count(), world.refusals.not_listed.get()), (250, 0));
     world.note(3, of(2));
     assert_eq!(world.of(of(2)), Some((1, 3, 3)));
 }
