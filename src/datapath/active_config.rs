@@ -18,6 +18,8 @@ use crate::datapath::socket::public::Listeners;
 pub struct ActiveConfig {
     /// The configuration.
     pub config: Config,
+    /// The checksum of each net, made once: whoever watches asks for it again and again.
+    config_hashes: Vec<String>,
     /// The rules by which the workers decide.
     pub(in crate::datapath) rules: Rules,
     /// The counters of each worker, and behind them those of the flows in the kernel, if it carries any. A
@@ -44,7 +46,13 @@ impl ActiveConfig {
         listeners: Vec<Listeners>,
     ) -> Self {
         let listeners = Mutex::new(listeners);
-        Self { config, rules, counters, workers, drops, upstream_drops, listeners }
+        let config_hashes = config.table.net_ids().map(|net| config.hash_of(net)).collect();
+        Self { config, config_hashes, rules, counters, workers, drops, upstream_drops, listeners }
+    }
+
+    /// The same at all relays that configure the net alike.
+    pub fn config_hash(&self, net: NetId) -> &str {
+        &self.config_hashes[usize::from(net.0)]
     }
 
     /// Datagrams that the kernel dropped on a net's public sockets.

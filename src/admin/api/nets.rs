@@ -56,7 +56,7 @@ struct NetState<'a> {
     #[serde(flatten)]
     rules: NetRules<'a>,
     /// The same at all relays that configure the net alike.
-    config_hash: String,
+    config_hash: &'a str,
     /// The /24 of all servers of a UDP Range net (PAS 7).
     subnet: Option<IpNet>,
     flows: u64,
@@ -92,7 +92,7 @@ impl<'a> NetState<'a> {
         let credentials = net.credentials.iter().map(|credential| credential.name.as_str());
         Self {
             rules: NetRules::of(net),
-            config_hash: active.config.hash_of(id),
+            config_hash: active.config_hash(id),
             subnet: subnet(table, id),
             flows: totals.flows,
             flows_opened: totals.flows_opened,

@@ -35,7 +35,7 @@ pub(super) struct NetSums<'a> {
     /// The net itself. `None` for strays, which belong to no net.
     pub(super) net: Option<(&'a Net, NetTotals)>,
     /// The checksum of the net's configuration. `None` for strays.
-    pub(super) config_hash: Option<String>,
+    pub(super) config_hash: Option<&'a str>,
     /// Asks the kernel about every public socket of the net. This is slow, so only the family that
     /// needs the figures calls it.
     pub(super) kernel_drops: Box<dyn Fn() -> KernelDrops + 'a>,
@@ -115,7 +115,7 @@ pub(super) const NET_FAMILIES: &[NetFamily] = &[
                Passwords are not in it.",
         kind: MetricType::GAUGE,
         samples: |sums| {
-            let labelled = |hash: &String| gauge(&[("net", sums.label), ("hash", hash)], 1.0);
+            let labelled = |hash: &&str| gauge(&[("net", sums.label), ("hash", hash)], 1.0);
             sums.config_hash.iter().map(labelled).collect()
         },
     },

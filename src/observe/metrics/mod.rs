@@ -123,7 +123,7 @@ fn net_sums(active: &ActiveConfig, started_at: f64, id: NetId) -> NetSums<'_> {
         label: &net.name,
         nodes: table.mappings_of(id).map(node).collect(),
         net: Some((net, NetTotals::of_net(workers, table, id))),
-        config_hash: Some(active.config.hash_of(id)),
+        config_hash: Some(active.config_hash(id)),
         kernel_drops: Box::new(move || active.kernel_drops(id)),
         started_at,
     }
