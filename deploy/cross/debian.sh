@@ -33,6 +33,8 @@ exec unshare --mount --propagation private sh -euc '
     mount --rbind /dev "$debian/dev"
     mount -t proc proc "$debian/proc"
     static="-C target-feature=+crt-static ${PNET_NAT_CROSS_FLAGS-}"
+    # On 32-bit ARM, GNU ld makes static programs of more than 16 MB of code that crash at their start.
+    lld="-C link-arg=-fuse-ld=lld"
     exec chroot "$debian" env --ignore-environment --chdir=/pnet-nat \
         PATH=/usr/bin:/bin HOME=/root TERM=dumb \
         CARGO_HOME=/cargo CARGO_NET_OFFLINE=true CARGO_TARGET_DIR=target/cross \
@@ -40,7 +42,7 @@ exec unshare --mount --propagation private sh -euc '
         CARGO_TARGET_X86_64_UNKNOWN_LINUX_GNU_RUSTFLAGS="$static" \
         CARGO_TARGET_AARCH64_UNKNOWN_LINUX_GNU_RUSTFLAGS="$static" \
         CARGO_TARGET_AARCH64_UNKNOWN_LINUX_GNU_LINKER=aarch64-linux-gnu-gcc \
-        CARGO_TARGET_ARMV7_UNKNOWN_LINUX_GNUEABIHF_RUSTFLAGS="$static" \
+        CARGO_TARGET_ARMV7_UNKNOWN_LINUX_GNUEABIHF_RUSTFLAGS="$static $lld" \
         CARGO_TARGET_ARMV7_UNKNOWN_LINUX_GNUEABIHF_LINKER=arm-linux-gnueabihf-gcc \
         CARGO_TARGET_S390X_UNKNOWN_LINUX_GNU_RUSTFLAGS="$static" \
         CARGO_TARGET_S390X_UNKNOWN_LINUX_GNU_LINKER=s390x-linux-gnu-gcc \

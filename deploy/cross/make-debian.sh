@@ -10,7 +10,7 @@ mkdir -p "$(dirname "$debian")"
 mmdebstrap --quiet --variant=apt --architectures=amd64,arm64,armhf,s390x \
     --aptopt='Acquire::Check-Valid-Until "false"' --aptopt='APT::Sandbox::User "root"' \
     --keyring=/usr/share/keyrings/debian-archive-keyring.gpg \
-    --include=cargo,rustc,gcc,libc6-dev \
+    --include=cargo,rustc,gcc,libc6-dev,lld \
     --include=gcc-aarch64-linux-gnu,libc6-dev-arm64-cross \
     --include=gcc-arm-linux-gnueabihf,libc6-dev-armhf-cross \
     --include=gcc-s390x-linux-gnu,libc6-dev-s390x-cross \

@@ -24,7 +24,7 @@ use std::time::Duration;
 
 use super::decode::read_capture;
 use super::output::out;
-use super::{BAD_USE, complain};
+use super::{BAD_USE, complain, screen};
 use crate::profinet::rpc::PORT;
 use device::Device;
 use passive::Passive;
@@ -115,7 +115,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<ExitCode> {
         device.submodules.sort_by_key(|submodule| (submodule.slot, submodule.subslot));
     }
     let mut out = out();
-    print::print(&devices, args.format, &mut out)?;
+    print::print(&devices, args.format, screen::width(), &mut out)?;
     if args.format == Format::Text {
         writeln!(out, "{summary}")?;
     }

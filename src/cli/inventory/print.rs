@@ -1,9 +1,8 @@
 //! An inventory as a table for people, as CSV, or as one JSON object a line.
 
-use std::io::{self, Write, stdout};
+use std::io::{self, Write};
 
 use comfy_table::ContentArrangement;
-use terminal_size::terminal_size_of;
 
 use super::device::{Device, Neighbour, Submodule};
 use crate::cli::output::{print_json, table};
@@ -62,10 +61,16 @@ const COLUMNS: &[Column] = &[
     column!("error", None, |device, _| device.error.clone()),
 ];
 
-/// Prints all devices, which stand in their order.
-pub(super) fn print(devices: &[Device], format: Format, out: &mut impl Write) -> io::Result<()> {
+/// Prints all devices, which stand in their order. A table is `width` columns wide at the most, if there is
+/// a limit.
+pub(super) fn print(
+    devices: &[Device],
+    format: Format,
+    width: Option<u16>,
+    out: &mut impl Write,
+) -> io::Result<()> {
     match format {
-        Format::Text => print_text(devices, out),
+        Format::Text => print_text(devices, width, out),
         Format::Json => devices.iter().try_for_each(|device| print_json(device, out)),
         Format::Csv => print_csv(devices, out),
     }
@@ -83,7 +88,7 @@ fn rows(
 }
 
 /// Columns that nobody filled are left out, and so are submodules without I&M.
-fn print_text(devices: &[Device], out: &mut impl Write) -> io::Result<()> {
+fn print_text(devices: &[Device], width: Option<u16>, out: &mut impl Write) -> io::Result<()> {
     if devices.is_empty() {
         return Ok(());
     }
@@ -102,8 +107,8 @@ fn print_text(devices: &[Device], out: &mut impl Write) -> io::Result<()> {
         }
     }
     let mut table = table(header, &rows);
-    if let Some((width, _)) = terminal_size_of(stdout()) {
-        table.set_content_arrangement(ContentArrangement::Dynamic).set_width(width.0);
+    if let Some(width) = width {
+        table.set_content_arrangement(ContentArrangement::Dynamic).set_width(width);
     }
     writeln!(out, "{table}")?;
     print_neighbours(devices, out)?;

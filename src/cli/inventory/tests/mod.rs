@@ -74,7 +74,7 @@ fn found(mut fake: FakeDevice, from: &str) -> Log {
 
 fn printed(devices: &[Device], format: Format) -> String {
     let mut out = Vec::new();
-    print(devices, format, &mut out).unwrap();
+    print(devices, format, None, &mut out).unwrap();
     String::from_utf8(out).unwrap()
 }
 
