@@ -25,7 +25,7 @@ use tokio::task::JoinSet;
 use tokio::time::timeout;
 
 use crate::admin::control;
-use crate::config::{self, Token, USUAL_FILE};
+use crate::config::{Source, Token, TwoSources, USUAL_FILE};
 use crate::harmless::harmless;
 use crate::thread;
 
@@ -100,7 +100,7 @@ impl Place {
         }
     }
 
-    /// The place that a URL names, or else a configuration file, with the file of the token that it needs.
+    /// The place that a URL names, or else the configuration, with the file of the token that it needs.
     pub(super) fn find(
         url: Option<&str>,
         file: Option<&Path>,
@@ -108,10 +108,13 @@ impl Place {
         if let Some(url) = url {
             return Ok((Self::of_url(url), None));
         }
-        let file = file.unwrap_or(Path::new(USUAL_FILE));
-        // The relay reports the faults of the file, and only its user may be able to read it.
-        let text = config::read_text(file).unwrap_or_default();
-        let admin = config::admin_place(&text);
+        // Of two configurations, which a relay refuses, the file is taken.
+        let source = Source::choose(file).unwrap_or_else(|TwoSources(file)| Source::File(file));
+        let admin = source.admin_place();
+        let file = match &source {
+            Source::File(file) => file,
+            Source::Environment(_) => Path::new(""),
+        };
         let beside = file.parent().unwrap_or(Path::new(""));
         let of_package = || (file == Path::new(USUAL_FILE)).then(|| CONTROL.into());
         let control = admin.control.map(|control| beside.join(control));

@@ -124,6 +124,11 @@ impl Environment {
         SECTIONS.iter().flat_map(|(_, _, variables)| *variables).map(|variable| variable.name)
     }
 
+    /// The configuration in TOML.
+    pub(super) fn text(&self) -> &str {
+        &self.text
+    }
+
     /// Reads it, and the files that it names, and asks this host about the servers.
     pub(super) fn load(&self, in_force: Option<&Table>) -> Read {
         self.read_on(&ThisHost, in_force)

@@ -84,7 +84,7 @@ pub(crate) use name::is_name;
 #[cfg(feature = "cli")]
 pub(crate) use new_password::new_password;
 pub use node_range::{NodeRange, NotANodeRange};
-pub use peek::{AdminPlace, admin_place};
+pub use peek::AdminPlace;
 pub use report::{Fault, Faults, Warning};
 pub use restart::keep_settled;
 #[cfg(feature = "cli")]

@@ -36,7 +36,7 @@ impl Default for AdminPlace {
 }
 
 /// Reads `[admin]`; what cannot be read is the default.
-pub fn admin_place(text: &str) -> AdminPlace {
+pub(super) fn admin_place(text: &str) -> AdminPlace {
     let usual = AdminPlace::default();
     let (document, _) = DeTable::parse_recoverable(text);
     let admin = document.get_ref().get("admin").and_then(|admin| admin.get_ref().as_table());

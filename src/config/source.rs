@@ -4,6 +4,7 @@
 use std::path::{Path, PathBuf};
 
 use super::environment::Environment;
+use super::peek::AdminPlace;
 use super::report::{Faults, Warning};
 use super::{Config, Table, ThisHost, parse_on, peek, read_text};
 
@@ -56,6 +57,15 @@ impl Source {
         match self {
             Self::File(path) => parse_on(&read_text(path)?, path, &ThisHost, in_force),
             Self::Environment(environment) => environment.load(in_force),
+        }
+    }
+
+    /// Where the admin server of a relay with this configuration is, for those who ask it. The relay reports
+    /// the faults of a file, and only its user may be able to read it.
+    pub fn admin_place(&self) -> AdminPlace {
+        match self {
+            Self::File(path) => peek::admin_place(&read_text(path).unwrap_or_default()),
+            Self::Environment(environment) => peek::admin_place(environment.text()),
         }
     }
 

@@ -63,6 +63,21 @@ fn the_example_relays_and_a_reload_reads_its_secret_again() {
 }
 
 #[test]
+fn commands_ask_the_relay_where_the_variables_say() {
+    if !has_yaml() {
+        return;
+    }
+    let (site, folder) = (Site::claim(), folder(""));
+    let relay =
+        Relay::start_as("", site.admin(), |_| with_variables(&site, folder.path(), &["run"]));
+    for command in ["healthcheck", "status"] {
+        let mut asked = Process::start(with_variables(&site, folder.path(), &[command]));
+        assert_eq!(asked.end(), Some(0), "{command}: {}", asked.stderr());
+    }
+    relay.finish();
+}
+
+#[test]
 fn check_reads_the_variables_too() {
     if !has_yaml() {
         return;
