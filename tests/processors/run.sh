@@ -27,13 +27,20 @@ debian() {
     deploy/cross/debian.sh "$@"
 }
 
+# Whether the unit tests are run on this processor: where numbers are shorter or octets stand in another order,
+# and where somebody asks for this processor alone. 64-bit ARM is as x86-64 in both.
+has_units() {
+    [ "$1" != arm64 ] || [ "${processors[*]}" = arm64 ]
+}
+
 # The program, its unit tests, and what tries the confinement.
 compile() {
-    local processor=$1 target=${TARGETS[$1]} log=$work/$1/compiler
+    local processor=$1 target=${TARGETS[$1]} log=$work/$1/compiler units=()
     mkdir -p "$work/$processor"
+    ! has_units "$processor" || units=(--lib)
     # The linker warns of names that static programs look up; nothing here looks up a name of a host.
     PNET_NAT_CROSS_FLAGS="-A linker-messages" debian env CARGO_BUILD_WARNINGS=deny \
-        cargo test --no-run --locked --target "$target" --lib --test violations 2>"$log" ||
+        cargo test --no-run --locked --target "$target" "${units[@]}" --test violations 2>"$log" ||
         { local code=$?; cat "$log"; return $code; }
 }
 
@@ -82,7 +89,7 @@ pack() {
     cp tests/processors/init "$root/init"
     cp "$work/$processor/busybox" "$work/$processor/package/usr/bin/pnet-nat" "$root/bin"
     ln -s busybox "$root/bin/sh"
-    cp "$(compiled "$processor" lib.rs)" "$root/bin/unit-tests"
+    ! has_units "$processor" || cp "$(compiled "$processor" lib.rs)" "$root/bin/unit-tests"
     # There is no filter of system calls to be tried on the other one.
     [ "$processor" = s390x ] || cp "$(compiled "$processor" violations.rs)" "$root/bin/violations"
     # What unit tests read; they were compiled in a folder of this name.
@@ -105,7 +112,7 @@ judge() {
     tries=$(grep -c '^== ' "$console")
     good=$(grep -c '^== .*: good$' "$console")
     echo "$processor: $good of $tries tries are good"
-    [ "$tries" -ge 3 ] && [ "$good" = "$tries" ]
+    grep -q '^all was tried$' "$console" && [ "$good" = "$tries" ]
 }
 
 # One image for all processors, each with its own program.
