@@ -90,7 +90,8 @@ pack() {
     cp "$work/$processor/busybox" "$work/$processor/package/usr/bin/pnet-nat" "$root/bin"
     ln -s busybox "$root/bin/sh"
     ! has_units "$processor" || cp "$(compiled "$processor" lib.rs)" "$root/bin/unit-tests"
-    # There is no filter of system calls to be tried on the other one.
+    # On s390x there is no filter of system calls to be tried; its test is compiled because cargo then builds
+    # the program, too.
     [ "$processor" = s390x ] || cp "$(compiled "$processor" violations.rs)" "$root/bin/violations"
     # What unit tests read; they were compiled in a folder of this name.
     cp -r --parents fuzz/corpus/offload src/config/tests/snapshots "$root/pnet-nat"

@@ -74,12 +74,14 @@ fn the_address_is_found_behind_other_messages() {
     let source: IpAddr = "2001:db8::7".parse().unwrap();
     let info =
         libc::in6_pktinfo { ipi6_addr: in6_addr("2001:db8::7".parse().unwrap()), ipi6_ifindex: 3 };
-    for first in [0, 1, 3] {
+    // One octet less than what messages are aligned to.
+    const ODD: usize = size_of::<usize>() - 1;
+    for first in [0, 1, ODD] {
         let mut control = Control::default();
         let at = match first {
             0 => control.put(0, libc::SOL_SOCKET, libc::SO_RXQ_OVFL, ()),
             1 => control.put(0, libc::SOL_SOCKET, libc::SO_RXQ_OVFL, [1_u8; 1]),
-            _ => control.put(0, libc::SOL_SOCKET, libc::SO_RXQ_OVFL, [1_u8; 3]),
+            _ => control.put(0, libc::SOL_SOCKET, libc::SO_RXQ_OVFL, [1_u8; ODD]),
         };
         let end = control.put(at, libc::IPPROTO_IPV6, libc::IPV6_PKTINFO, info);
         assert_eq!(control.local_address(end), Some(source));
