@@ -231,8 +231,7 @@ fn relay(
         };
         let again = tokio::select! {
             again = leaving => again,
-            never = noise.run() => never,
-            never = observer.run() => never,
+            never = observer.run(Some(&mut noise)) => never,
             never = reloading => never,
             never = service::watchdog(Arc::clone(&router)) => never,
         };

@@ -6,6 +6,7 @@
 //! `offload` is a datapath in the kernel, for flows that the core has opened.
 
 mod active_config;
+mod activity;
 mod commands;
 mod kernel_filter;
 mod last_reload;

@@ -15,6 +15,7 @@ use crate::nat::{Chance, Core, Counters, FlowRecord, Rules, Table};
 use crate::thread;
 
 use crate::datapath::active_config::ActiveConfig;
+use crate::datapath::activity::Activity;
 use crate::datapath::commands::Command;
 use crate::datapath::last_reload::LastReload;
 use crate::datapath::offload::{Carrier, Changes, Offload, OffloadError, OffloadState};
@@ -41,6 +42,7 @@ pub struct Router {
     pub(in crate::datapath) changing: tokio::sync::Mutex<()>,
     audit: Arc<Audit>,
     throttlings: Arc<Throttlings>,
+    activity: Arc<Activity>,
     journal: Journal,
     /// The flows in the kernel, or why it carries none.
     pub(in crate::datapath) offload: Result<Arc<Offload>, OffloadError>,
@@ -113,9 +115,11 @@ impl Router {
         let ports = Arc::new(Ports::new(&config));
         let upstream_drops: Arc<NetDrops> = Arc::default();
         let throttlings: Arc<Throttlings> = Arc::default();
+        let activity: Arc<Activity> = Arc::default();
         let shared = Shared {
             audit: Arc::clone(&audit),
             throttlings: Arc::clone(&throttlings),
+            activity: Arc::clone(&activity),
             ports: Arc::clone(&ports),
             drops: Arc::clone(&upstream_drops),
         };
@@ -163,7 +167,7 @@ impl Router {
             listeners,
         );
         let router = Self::new(active, audit, ports, handles, started);
-        let router = Self { throttlings, offload, ..router };
+        let router = Self { throttlings, activity, offload, ..router };
         Ok(Bound { router, workers, changes })
     }
 
@@ -181,6 +185,7 @@ impl Router {
             changing: tokio::sync::Mutex::default(),
             audit,
             throttlings: Arc::default(),
+            activity: Arc::default(),
             journal,
             offload: Err(OffloadError::Off),
             ports,
@@ -246,6 +251,11 @@ impl Router {
     /// The senders that were throttled lately.
     pub(crate) fn throttlings(&self) -> &Throttlings {
         &self.throttlings
+    }
+
+    /// Whether the workers sleep.
+    pub(crate) fn activity(&self) -> &Activity {
+        &self.activity
     }
 
     /// The last events, and the figures of the last day.

@@ -1,9 +1,9 @@
 //! The relay's figures of the last hour, every 10 s, and of the last day, every minute; and the
 //! state of each node in every minute of the day.
 //!
-//! All memory is taken when a table comes into force: 65 KB, and 361 octets for each node. A step
+//! All memory is taken when a table comes into force: 65 KB, and 362 octets for each node. A step
 //! has a number, counted from the relay's start by a clock that goes on while the machine sleeps. A
-//! step in which nobody looked is a gap.
+//! step in which nobody looked is a gap, but for a [rest](History::rest): then nothing happened.
 
 use std::array;
 use std::collections::HashMap;
@@ -156,8 +156,13 @@ pub struct History {
     strips: Vec<Strip>,
     /// For each mapping, its worst state in the minute that has begun.
     states: Vec<u8>,
+    /// For each mapping, its state at the end of the last step.
+    latest: Vec<u8>,
     /// The sum of the minute that has begun.
     minute: Step,
+    /// What each step of a rest is like.
+    idle: Step,
+    rests: bool,
     /// The number of steps that are over.
     steps: u64,
     table: Arc<Table>,
@@ -194,6 +199,11 @@ fn state(strip: &Strip, minute: usize) -> u8 {
     strip[minute / 4] >> (2 * (minute % 4)) & 3
 }
 
+/// The number of the step that ends at about this time after the start.
+fn number_at(at: Duration) -> u64 {
+    (at.as_secs_f64() / History::STEP.as_secs_f64()).round() as u64
+}
+
 impl History {
     /// The length of a step.
     pub const STEP: Duration = Duration::from_secs(10);
@@ -214,7 +224,10 @@ impl History {
             day: Ring::new(Self::MINUTES),
             strips: vec![[0; Self::MINUTES / 4]; nodes],
             states: vec![NOT_RUNNING; nodes],
+            latest: vec![NOT_RUNNING; nodes],
             minute: Step::default(),
+            idle: Step::default(),
+            rests: false,
             steps: 0,
             table: Arc::clone(table),
         }
@@ -229,16 +242,18 @@ impl History {
         let old = |name| known.get(&name).map(|id: &MappingId| id.0 as usize);
         let strip = |name| old(name).map_or([0; Self::MINUTES / 4], |id| self.strips[id]);
         let strips = table.node_names().map(strip).collect();
-        let states =
-            table.node_names().map(|name| old(name).map_or(NOT_RUNNING, |id| self.states[id]));
-        (self.states, self.strips) = (states.collect(), strips);
+        let of = |states: &[u8]| {
+            table.node_names().map(|name| old(name).map_or(NOT_RUNNING, |id| states[id])).collect()
+        };
+        (self.states, self.latest) = (of(&self.states), of(&self.latest));
+        self.strips = strips;
         self.table = Arc::clone(table);
     }
 
     /// Notes a step that ends at this time after the start, and the state of each node of the table
     /// at its end. The steps in between are gaps.
     pub fn note(&mut self, at: Duration, step: &Step, presences: impl Iterator<Item = Presence>) {
-        let number = (at.as_secs_f64() / Self::STEP.as_secs_f64()).round() as u64;
+        let number = number_at(at);
         if number.saturating_sub(self.steps) > Self::STEPS_OF_DAY {
             // All that is known is older than a day.
             self.steps = (number - Self::STEPS_OF_DAY).next_multiple_of(Self::STEPS_OF_MINUTE);
@@ -247,17 +262,63 @@ impl History {
         while self.steps + 1 < number {
             self.end_step(UNKNOWN);
         }
-        for (state, presence) in self.states.iter_mut().zip(presences) {
-            *state = (*state).max(match presence {
+        for (latest, presence) in self.latest.iter_mut().zip(presences) {
+            *latest = match presence {
                 Presence::NeverAsked => NEVER_ASKED,
                 Presence::Answering => ANSWERING,
                 Presence::Silent => SILENT,
-            });
+            };
         }
-        self.minute.add(step);
+        self.idle = Step {
+            length: Self::STEP,
+            flows: step.flows,
+            answering_nodes: step.answering_nodes,
+            ..Step::default()
+        };
+        self.add(step);
         if self.steps < number {
             self.end_step(step.figures());
         }
+    }
+
+    /// From the end of the last step on, nobody looks and nothing happens.
+    pub fn rest(&mut self) {
+        self.rests = true;
+    }
+
+    /// The rest ends at this time after the start.
+    pub fn end_rest(&mut self, at: Duration) {
+        if self.rests {
+            self.idle_until(number_at(at));
+            self.rests = false;
+        }
+    }
+
+    /// Notes the steps of a rest that are over at this time after the start.
+    pub fn catch_up(&mut self, at: Duration) {
+        if self.rests {
+            self.idle_until(at.as_secs() / Self::STEP.as_secs());
+        }
+    }
+
+    fn idle_until(&mut self, number: u64) {
+        // Nothing is left of what is older than a day.
+        let kept = Self::STEPS_OF_DAY + Self::STEPS_OF_MINUTE;
+        if number.saturating_sub(self.steps) > kept {
+            self.steps = (number - kept).next_multiple_of(Self::STEPS_OF_MINUTE);
+        }
+        let idle = self.idle.clone();
+        while self.steps < number {
+            self.add(&idle);
+            self.end_step(idle.figures());
+        }
+    }
+
+    fn add(&mut self, step: &Step) {
+        for (worst, latest) in self.states.iter_mut().zip(&self.latest) {
+            *worst = (*worst).max(*latest);
+        }
+        self.minute.add(step);
     }
 
     fn end_step(&mut self, figures: Figures) {

@@ -2,7 +2,9 @@
 //! write it, the admin server reads it. The workers do not know of it.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::time::SystemTime;
+use std::time::{Duration, SystemTime};
+
+use nix::time::{ClockId, clock_gettime};
 
 use crate::nat::Table;
 use crate::observe::events::{Event, EventKind, Events};
@@ -13,12 +15,14 @@ use crate::observe::history::History;
 pub struct Journal {
     events: Mutex<Events>,
     history: Mutex<History>,
+    began: Duration,
 }
 
 impl Journal {
     /// An empty journal.
     pub fn new(table: &Arc<Table>) -> Self {
-        Self { events: Mutex::default(), history: Mutex::new(History::new(table)) }
+        let history = Mutex::new(History::new(table));
+        Self { events: Mutex::default(), history, began: since_boot() }
     }
 
     /// Notes an event that belongs to no net.
@@ -39,8 +43,20 @@ impl Journal {
 
     /// The figures of the last hour and day.
     pub fn history(&self) -> MutexGuard<'_, History> {
-        lock(&self.history)
+        let mut history = lock(&self.history);
+        history.catch_up(self.age());
+        history
     }
+
+    /// The time since the relay's start, by the clock of the history, which goes on while the machine sleeps.
+    pub(super) fn age(&self) -> Duration {
+        since_boot().saturating_sub(self.began)
+    }
+}
+
+fn since_boot() -> Duration {
+    // Every kernel that the relay runs on has this clock.
+    clock_gettime(ClockId::CLOCK_BOOTTIME).map(Duration::from).unwrap_or_default()
 }
 
 /// Locks even after a panic: events and figures are only shown.

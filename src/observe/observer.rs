@@ -2,8 +2,9 @@
 //! which nets are flooded, who is throttled, and how much is relayed.
 //!
 //! It runs beside the data path and only reads what is there for others too: the counters, and
-//! whether a socket has a filter. So it costs the workers nothing. They tell it of one thing only: who
-//! is throttled, once for each throttling and not for each datagram.
+//! whether a socket has a filter. So it costs the workers nearly nothing. They tell it of two things: who
+//! is throttled, once for each throttling and not for each datagram; and that they are awake, once
+//! between two looks. While all of them sleep and nothing is still to come, it sleeps, too.
 
 mod counted;
 #[cfg(test)]
@@ -13,11 +14,12 @@ mod watch;
 use std::sync::Arc;
 use std::time::{Duration, SystemTime};
 
-use nix::time::{ClockId, clock_gettime};
 use tokio::time::{self, MissedTickBehavior};
 
+use crate::config::Prefilter;
 use crate::datapath::{ActiveConfig, Router};
 use crate::nat::Counters;
+use crate::observe::DropReport;
 use crate::observe::events::EventKind;
 use crate::observe::history::History;
 use crate::observe::totals::{Contact, Presence};
@@ -35,8 +37,6 @@ pub struct Observer {
     before: Counted,
     /// When the last step ended, counted from the observer's start.
     step_ended: Duration,
-    /// The observer's start.
-    began: Duration,
 }
 
 impl Observer {
@@ -61,31 +61,52 @@ impl Observer {
             active,
             before: Counted::default(),
             step_ended: Duration::ZERO,
-            began: since_boot(),
         }
     }
 
-    /// Looks again and again, for ever.
-    pub async fn run(&mut self) -> ! {
+    /// Looks again and again, for ever, and has the drops reported.
+    pub async fn run(&mut self, mut drops: Option<&mut DropReport>) -> ! {
         let mut ticks = time::interval(Self::TICK);
         ticks.set_missed_tick_behavior(MissedTickBehavior::Skip);
         ticks.tick().await;
         loop {
             ticks.tick().await;
-            self.look(since_boot().saturating_sub(self.began), self.router.started().elapsed())
-                .await;
+            let (at, since_start) = (self.router.journal().age(), self.router.started().elapsed());
+            let is_settled = self.look(at, since_start).await;
+            if drops.as_mut().is_none_or(|drops| drops.look()) && is_settled {
+                self.rest().await;
+                if let Some(drops) = &mut drops {
+                    drops.begin_window();
+                }
+                ticks.reset();
+            }
         }
     }
 
-    /// Looks at everything. `at` counts from the observer's start, by the clock of the history, and
-    /// `since_start` from the relay's start, by the clock of the counters.
-    async fn look(&mut self, at: Duration, since_start: Duration) {
+    /// Looks at everything. `at` counts from the relay's start by the clock of the history, and
+    /// `since_start` by that of the counters. Returns whether all is noted and nothing will change
+    /// before a worker wakes up.
+    async fn look(&mut self, at: Duration, since_start: Duration) -> bool {
+        let slept = self.router.activity().slept();
         let active = self.router.active_config();
-        self.watch.look(&self.router, &active, since_start, SystemTime::now());
+        // The kernel refuses datagrams without a worker.
+        let is_filtered = active.config.datapath.prefilter == Prefilter::Always;
+        let is_settled = self.watch.look(&self.router, &active, since_start, SystemTime::now());
         // A tick may come a little early.
-        if at + Self::TICK / 2 >= self.step_ended + History::STEP {
+        let ends_step = at + Self::TICK / 2 >= self.step_ended + History::STEP;
+        if ends_step {
             self.end_step(active, at, since_start).await;
         }
+        slept && ends_step && is_settled && !is_filtered
+    }
+
+    /// Sleeps until a worker wakes up.
+    async fn rest(&mut self) {
+        let (router, journal) = (&self.router, self.router.journal());
+        journal.history().rest();
+        router.activity().awaited().await;
+        self.step_ended = journal.age();
+        journal.history().end_rest(self.step_ended);
     }
 
     async fn end_step(&mut self, active: Arc<ActiveConfig>, at: Duration, since_start: Duration) {
@@ -112,10 +133,4 @@ impl Observer {
         drop(history);
         self.active = active;
     }
-}
-
-/// The time since the machine's start, and that goes on while the machine sleeps.
-fn since_boot() -> Duration {
-    // Every kernel that the relay runs on has this clock.
-    clock_gettime(ClockId::CLOCK_BOOTTIME).map(Duration::from).unwrap_or_default()
 }

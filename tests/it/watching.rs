@@ -1,9 +1,12 @@
 //! What a person or a machine that watches gets to see: logs, API, health. And what never.
 
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
 use serde_json::{Value, json};
 
 use crate::harness::{
-    FIGURE_10, Settings, Site, WRONG, datagram, eventually, exchange, pnet_nat, request,
+    FIGURE_10, Settings, Site, WRONG, datagram, eventually, exchange, pause, pnet_nat, request,
 };
 use crate::harness::{PASSWORDS, Process};
 
@@ -137,4 +140,43 @@ fn healthcheck_says_whether_the_relay_is_ready() {
     assert_eq!(healthcheck(), Some(0));
     relay.finish();
     assert_eq!(healthcheck(), Some(1));
+}
+
+/// While nothing is open, no thread of the relay wakes up. The history has no gap for that.
+#[test]
+fn a_relay_with_nothing_to_do_sleeps() {
+    let site = Site::claim();
+    let relay = site.relay(Settings::default());
+    let mut tries = (0..6).map(|_| {
+        let before = wake_ups(relay.process.id());
+        pause(Duration::from_secs(11));
+        wake_ups(relay.process.id()) - before
+    });
+    assert!(tries.any(|woken| woken == 0), "it wakes up again and again");
+
+    exchange(&site.client(), site.public(4), &site.node(4), 4);
+    let requests = eventually("a step with the request", || {
+        let (_, history) = relay.get("/api/v1/history")?;
+        let history: Value = serde_json::from_str(&history).ok()?;
+        let requests = history["hour"]["requests"].as_array()?.clone();
+        requests.last()?.as_f64().filter(|&rate| rate > 0.0).map(|_| requests)
+    });
+    let since_start: Vec<_> = requests.iter().skip_while(|rate| rate.is_null()).collect();
+    assert!(since_start.len() > 2 && !since_start.contains(&&Value::Null), "{since_start:?}");
+    relay.finish();
+}
+
+/// How often the threads of a process have woken up. One is left out: it follows changes of the machine's
+/// interfaces, which other tests make.
+fn wake_ups(process: u32) -> u64 {
+    let threads = std::fs::read_dir(format!("/proc/{process}/task")).unwrap();
+    let threads = threads.map(|thread| thread.unwrap().path());
+    let of = |thread: &Path, what| std::fs::read_to_string(thread.join(what)).unwrap();
+    let counted = threads.filter(|thread| of(thread, "comm").trim() != "interfaces");
+    let woken = |thread: PathBuf| {
+        let status = of(&thread, "status");
+        let line = status.lines().find_map(|line| line.strip_prefix("voluntary_ctxt_switches:"));
+        line.unwrap().trim().parse::<u64>().unwrap()
+    };
+    counted.map(woken).sum()
 }

@@ -70,7 +70,7 @@ async fn demo(args: Args) -> anyhow::Result<ExitCode> {
     let admin = tokio::spawn(serving);
 
     let mut observer = Observer::new(Arc::clone(&router));
-    let observing = tokio::spawn(async move { observer.run().await });
+    let observing = tokio::spawn(async move { observer.run(None).await });
 
     let traffic = Traffic::new(&plant);
     let started = Instant::now();

@@ -12,12 +12,10 @@ use std::collections::HashMap;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use strum::VariantArray;
-use tokio::time::{self, MissedTickBehavior};
-
 use crate::datapath::{ActiveConfig, Router};
 use crate::nat::{DropReason, MappingId, Table};
 use crate::observe::totals::NodeTotals;
+use strum::VariantArray;
 
 use group::{Group, Window};
 use senders::Senders;
@@ -60,15 +58,19 @@ impl DropReport {
         Self { router, reported, table, senders, window_began, going_on }
     }
 
-    /// Reports at the end of each window, for ever.
-    pub async fn run(&mut self) -> ! {
-        let mut window = time::interval(Self::WINDOW);
-        window.set_missed_tick_behavior(MissedTickBehavior::Delay);
-        window.tick().await;
-        loop {
-            window.tick().await;
+    /// Reports, if the window is over. Returns whether all is reported and no drops go on.
+    pub(super) fn look(&mut self) -> bool {
+        // A look may come a little early.
+        let is_over = self.window_began.elapsed() + Self::WINDOW / 4 >= Self::WINDOW;
+        if is_over {
             self.report(Self::WINDOW, false);
         }
+        is_over && self.going_on.is_empty()
+    }
+
+    /// Begins a window after a time without drops.
+    pub(super) fn begin_window(&mut self) {
+        self.window_began = Instant::now();
     }
 
     /// Reports the window that has begun. It is the last one.

@@ -105,6 +105,36 @@ fn while_the_machine_sleeps_there_is_a_gap() {
     assert_eq!(letters(&history, "press", 3), [(7, "--s".into())]);
 }
 
+/// A rest is no gap: whoever looks during it, or after it, sees that nothing happened.
+#[test]
+fn while_the_relay_rests_its_figures_go_on() {
+    let mut history = history();
+    for n in 1..=6 {
+        note(&mut history, n, 10, [Answering, Silent, NeverAsked]);
+    }
+    history.rest();
+    history.catch_up(after(9) + Duration::from_secs(9));
+    assert_eq!(last(&history.view(None).hour, Series::Requests), [1.0, 0.0, 0.0, 0.0]);
+    history.end_rest(after(18) - Duration::from_secs(4));
+    history.catch_up(after(30));
+    note(&mut history, 19, 20, [Answering; 3]);
+    let view = history.view(None);
+    let hour: [f32; 14] = last(&view.hour, Series::Requests);
+    assert_eq!((hour[0], hour[13]), (1.0, 2.0));
+    assert_eq!(hour[1..13], [0.0; 12]);
+    assert_eq!(last(&view.day, Series::Requests), [1.0, 0.0, 0.0]);
+    assert_eq!(last(&view.day, Series::Flows), [1.0; 3]);
+    assert_eq!(letters(&history, "section-1", 4), [(1, "-aaa".into()), (33, "-nnn".into())]);
+
+    // A month later nothing else is left.
+    history.rest();
+    history.end_rest(after(30 * History::STEPS_OF_DAY));
+    let view = history.view(None);
+    let rests = |figures: &[Figures]| figures.iter().all(|it| it[Series::Requests as usize] == 0.0);
+    assert!(rests(&view.hour) && rests(&view.day));
+    assert_eq!(letters(&history, "press", 1440), [(7, "a".repeat(1440))]);
+}
+
 #[test]
 fn a_minute_has_its_worst_state() {
     let mut history = history();
@@ -142,6 +172,7 @@ fn octets(history: &History) -> usize {
         + size_of_val(&*history.day.figures)
         + history.strips.capacity() * size_of::<Strip>()
         + history.states.capacity()
+        + history.latest.capacity()
 }
 
 /// Documented in `docs/monitoring.md`.

@@ -29,6 +29,12 @@ impl Looks {
         self.new_events()
     }
 
+    /// Looks, and tells whether the observer may rest until a worker wakes up.
+    async fn may_rest(&mut self, seconds: u64) -> bool {
+        let now = Duration::from_secs(seconds);
+        self.observer.look(now, now).await
+    }
+
     fn new_events(&mut self) -> Vec<String> {
         let mut events = self.events();
         events.reverse();
@@ -135,6 +141,28 @@ async fn strangers_cannot_fill_the_events() {
     assert!(told.len() < 30, "{told:#?}");
     let all = looks.observer.router.journal().events_after(0);
     assert_eq!(all.len(), told.len() + 1, "all are kept");
+}
+
+/// It sleeps while the workers do, and not before all is told.
+#[tokio::test]
+async fn it_rests_when_nothing_is_to_come() {
+    let mut looks = Looks::of(config());
+    assert!(!looks.may_rest(5).await, "a worker may have been awake");
+    assert!(looks.may_rest(10).await);
+    assert!(!looks.may_rest(15).await, "a step has begun");
+    looks.observer.router.activity().note();
+    assert!(!looks.may_rest(20).await, "a worker was awake");
+    assert!(looks.may_rest(30).await);
+
+    looks.ask(NODE_33, 38, false);
+    assert!(!looks.may_rest(40).await, "its answer may still come");
+    assert!(looks.may_rest(50).await, "it is silent");
+    assert_eq!(looks.new_events(), ["node_silent: node 33 of section-1 is silent"]);
+
+    let mut filtered = config();
+    filtered.datapath.prefilter = Prefilter::Always;
+    let mut looks = Looks::of(filtered);
+    assert!(!looks.may_rest(10).await && !looks.may_rest(20).await, "the kernel drops by itself");
 }
 
 #[tokio::test]

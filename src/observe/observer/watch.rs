@@ -25,6 +25,8 @@ pub(super) struct Watch {
     silent: HashMap<(String, u8), Duration>,
     floods: HashMap<String, Flood>,
     throttled: Throttled,
+    /// Whether a node has not answered, and is not silent yet.
+    waits: bool,
 }
 
 /// A flood of a net.
@@ -53,23 +55,26 @@ struct Now {
 
 impl Watch {
     /// Looks, and notes an event for each change. `since_start` is the time since the relay's start.
+    /// Returns whether time alone will bring no event.
     pub(super) fn look(
         &mut self,
         router: &Router,
         active: &ActiveConfig,
         since_start: Duration,
         time: SystemTime,
-    ) {
+    ) -> bool {
         let (journal, now) = (router.journal(), Now { since_start, time });
         self.nodes(journal, active, now);
         self.floods(journal, active, now);
         let (told, more) = router.throttlings().take();
         self.throttled.note(journal, told, more, now);
+        !self.waits && self.floods.is_empty() && self.throttled.more == 0
     }
 
     fn nodes(&mut self, journal: &Journal, active: &ActiveConfig, now: Now) {
         let table = &active.config.table;
         let mut silent = HashMap::new();
+        self.waits = false;
         for net in table.net_ids() {
             let name = &table.net(net).name;
             let (mut fell_silent, mut answering) = (Vec::new(), Vec::new());
@@ -78,13 +83,17 @@ impl Watch {
                 let contact = Contact::of_node(&active.counters, mapping);
                 let key = (name.clone(), node);
                 let before = self.silent.remove(&key);
+                let waiting_since = contact.waiting_since();
                 if contact.presence(now.since_start) == Presence::Silent {
-                    let since = contact.waiting_since().unwrap_or(now.since_start);
+                    let since = waiting_since.unwrap_or(now.since_start);
                     if before.is_none() {
                         fell_silent.push((node, since));
                     }
                     silent.insert(key, before.unwrap_or(since));
-                } else if let Some(since) = before {
+                    continue;
+                }
+                self.waits |= waiting_since.is_some();
+                if let Some(since) = before {
                     answering.push((node, since));
                 }
             }

@@ -30,6 +30,7 @@ impl Worker {
                     _ = reply.try_send((Arc::clone(self.relay.core.table()), flows));
                 }
                 Command::Reload(next, reply) => {
+                    self.activity.note();
                     self.reload(*next, now);
                     self.reloading = Some(reply);
                 }

@@ -18,6 +18,7 @@ use nix::sys::eventfd::EventFd;
 use crate::config::Datapath;
 use crate::nat::{Core, ListenerId, UpstreamId};
 
+use crate::datapath::activity::Activity;
 use crate::datapath::commands::Command;
 use crate::datapath::offload::Carrier;
 use crate::datapath::socket::busy_poll::BusyPoll;
@@ -62,6 +63,7 @@ pub(in crate::datapath) struct Worker {
     ticker: Ticker,
     wake: Arc<EventFd>,
     busy: BusyPoll,
+    activity: Arc<Activity>,
 }
 
 /// What all workers share.
@@ -69,6 +71,7 @@ pub(in crate::datapath) struct Worker {
 pub(in crate::datapath) struct Shared {
     pub audit: Arc<Audit>,
     pub throttlings: Arc<Throttlings>,
+    pub activity: Arc<Activity>,
     pub ports: Arc<Ports>,
     /// Counts what the kernel drops on the upstream sockets.
     pub drops: Arc<NetDrops>,
@@ -92,7 +95,7 @@ pub(in crate::datapath) struct WorkerSetup {
 impl Worker {
     pub(in crate::datapath) fn new(setup: WorkerSetup) -> io::Result<Self> {
         let WorkerSetup { core, listeners, epoll, wake, settings, carrier, started, .. } = setup;
-        let Shared { audit, throttlings, ports, drops } = setup.shared;
+        let Shared { audit, throttlings, activity, ports, drops } = setup.shared;
         epoll.add(&*wake, EventKey::Wake.arrivals())?;
         let effects = WorkerEffects {
             public: listeners,
@@ -122,6 +125,7 @@ impl Worker {
             closing: None,
             wake,
             busy: BusyPoll::new(settings.busy_poll),
+            activity,
         };
         let table = Arc::clone(worker.relay.core.table());
         worker.follow_core(&table, &Listeners::default(), setup.upstream_limit, &settings);
@@ -169,6 +173,10 @@ impl Worker {
     }
 
     fn handle_event(&mut self, key: EventKey, now: Instant) {
+        // Who only asks whether it is alive gives it nothing to do.
+        if key != EventKey::Wake {
+            self.activity.note();
+        }
         let received = match key {
             EventKey::Public(_) if self.drain_until.is_some() => return,
             EventKey::Public(id) => self.relay_requests(id, now),
