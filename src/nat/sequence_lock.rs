@@ -8,9 +8,11 @@ use std::net::{IpAddr, Ipv6Addr};
 use std::sync::atomic::Ordering::{Acquire, Relaxed, Release};
 use std::sync::atomic::{AtomicU64, fence};
 
+use zerocopy::FromZeros;
+
 use super::counter::Writer;
 
-#[derive(Debug)]
+#[derive(Debug, FromZeros)]
 pub(super) struct SequenceLock<const N: usize> {
     /// Odd while the words are being changed.
     pub(super) version: AtomicU64,

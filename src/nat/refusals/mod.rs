@@ -16,6 +16,9 @@
 //! `not_listed`, once.
 //!
 //! There is no lock: whoever reads an entry while it is given to another sender leaves it out.
+//!
+//! The table takes 0.9 MB of address space, and as much memory as there were senders: the kernel
+//! gives a page to whoever writes to it first, and most relays refuse few.
 
 mod seen_before;
 #[cfg(test)]
@@ -24,11 +27,13 @@ mod tests;
 use std::array;
 use std::hash::BuildHasher;
 use std::net::IpAddr;
+use std::ops::Range;
 use std::sync::atomic::AtomicU32;
 use std::sync::atomic::Ordering::Relaxed;
 
 use foldhash::fast::FixedState;
 use strum::VariantArray;
+use zerocopy::FromZeros;
 
 use super::counter::{Counter, Writer};
 use super::reason::{Direction, DropReason};
@@ -46,8 +51,10 @@ const SEARCH: u32 = 15;
 /// The refusals that one worker remembers.
 #[derive(Debug)]
 pub struct Refusals {
-    /// For each reason, its sets.
-    sets: Box<[Box<[Set]>]>,
+    /// Those of one reason behind those of another.
+    sets: Box<[Set]>,
+    /// Where the sets of each reason are: as many as a power of two.
+    of_reason: [Range<usize>; DropReason::COUNT],
     /// For what may come from a client, and for noise.
     seen_before: [SeenBefore; 2],
     /// Refused datagrams that no entry counts: their senders found no place, or have lost it.
@@ -87,10 +94,11 @@ pub fn net_key(name: &str) -> u64 {
     FixedState::with_seed(0).hash_one(name)
 }
 
-/// Entries of one reason that share a part of the hash. A look at a set costs one cache line, and
-/// one more for the entry.
-#[derive(Debug, Default)]
-#[repr(align(64))]
+/// Entries of one reason that share a part of the hash. A look at a set costs a cache line or two, and
+/// as many for the entry.
+//
+// With an alignment of its own, the allocator would write zeros to all memory at the start.
+#[derive(Debug, FromZeros)]
 struct Set {
     /// A part of the hash of each entry; 0: free. The free ones are the last ones.
     tags: [AtomicU32; WAYS],
@@ -102,18 +110,21 @@ struct Set {
 }
 
 /// The [`Refused`] in four words, then count, first and last.
-#[derive(Debug, Default)]
-#[repr(align(64))]
+#[derive(Debug, FromZeros)]
 struct Entry(SequenceLock<7>);
 
 impl Default for Refusals {
     fn default() -> Self {
-        let sets = |reason: &DropReason| {
-            let count = if reason.is_malformed() { 4 } else { 32 };
-            (0..count).map(|_| Set::default()).collect()
-        };
+        let mut end = 0;
+        let of_reason = array::from_fn(|index| {
+            let count = if DropReason::VARIANTS[index].is_malformed() { 4 } else { 32 };
+            let start = end;
+            end += count;
+            start..end
+        });
         Self {
-            sets: DropReason::VARIANTS.iter().map(sets).collect(),
+            sets: FromZeros::new_box_zeroed_with_elems(end).expect("memory for a start"),
+            of_reason,
             seen_before: [SeenBefore::new(16 * 1024), SeenBefore::new(1024)],
             not_listed: Counter::default(),
         }
@@ -124,7 +135,8 @@ impl Refusals {
     /// Those of a datapath that refuses nothing.
     pub(super) fn none() -> Self {
         let seen_before = [SeenBefore::new(1), SeenBefore::new(1)];
-        Self { sets: Box::default(), seen_before, not_listed: Counter::default() }
+        let of_reason = array::from_fn(|_| 0..0);
+        Self { sets: Box::default(), of_reason, seen_before, not_listed: Counter::default() }
     }
 
     /// Notes a refused datagram. `hash` makes a hash that strangers cannot foresee.
@@ -132,7 +144,7 @@ impl Refusals {
     pub fn note(&self, writer: &Writer, now: Nanos, refused: &Refused, hash: &impl BuildHasher) {
         let words = refused.to_words();
         let hash = hash.hash_one(words);
-        let sets = &self.sets[refused.reason as usize];
+        let sets = &self.sets[self.of_reason[refused.reason as usize].clone()];
         let set = &sets[hash as usize & (sets.len() - 1)]; // a power of two
         let tag = (hash >> 32) as u32 | 1; // 0 is free
         let is_its =
@@ -154,9 +166,8 @@ impl Refusals {
 
     /// What is remembered now.
     pub fn list(&self) -> impl Iterator<Item = Refusal> {
-        let sets = self.sets.iter().flatten();
         // Most sets are empty.
-        let used = sets.filter(|set| set.tags[0].load(Relaxed) != 0);
+        let used = self.sets.iter().filter(|set| set.tags[0].load(Relaxed) != 0);
         used.flat_map(|set| &set.entries).filter_map(Entry::get)
     }
 }
