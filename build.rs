@@ -2,6 +2,9 @@
 //!
 //! `PNET_NAT_COMMIT` says it, for builds without the repository; else git is asked. Where neither
 //! knows, the version stands alone.
+//!
+//! And has the linker of an optimised program put what a relay uses side by side: see
+//! `link/record.sh`.
 
 use std::env;
 use std::path::Path;
@@ -18,6 +21,16 @@ fn main() {
         None => println!("cargo::rustc-env=PNET_NAT_VERSION={version}"),
     }
     println!("cargo::rustc-env=PNET_NAT_COMMIT={}", commit.unwrap_or_default());
+    put_the_relay_first();
+}
+
+fn put_the_relay_first() {
+    let said = |name| env::var(name).unwrap_or_default();
+    if said("PROFILE") == "release" && said("CARGO_CFG_TARGET_OS") == "linux" {
+        let script = Path::new(&said("CARGO_MANIFEST_DIR")).join("link/relay-first.ld");
+        println!("cargo::rerun-if-changed={}", script.display());
+        println!("cargo::rustc-link-arg-bins=-Wl,-T,{}", script.display());
+    }
 }
 
 /// The commit that is checked out, if this is a repository of its own: a copy of the sources may

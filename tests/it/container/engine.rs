@@ -158,6 +158,8 @@ fn build() -> PathBuf {
     let all = temporary.parent().unwrap();
     let mut cargo = Command::new(env!("CARGO"));
     cargo.args(["build", "--profile", "dist", "--locked", "--target", &target, "--target-dir"]);
-    output(cargo.arg(all).current_dir(&context).env("RUSTFLAGS", flags));
+    let variable = target.to_uppercase().replace('-', "_");
+    cargo.env(format!("CARGO_TARGET_{variable}_RUSTFLAGS"), flags);
+    output(cargo.arg(all).current_dir(&context));
     all.join(target).join("dist/pnet-nat")
 }
