@@ -29,7 +29,8 @@ fn put_the_relay_first() {
     if said("PROFILE") == "release" && said("CARGO_CFG_TARGET_OS") == "linux" {
         let script = Path::new(&said("CARGO_MANIFEST_DIR")).join("link/relay-first.ld");
         println!("cargo::rerun-if-changed={}", script.display());
-        println!("cargo::rustc-link-arg-bins=-Wl,-T,{}", script.display());
+        println!("cargo::rustc-link-arg-bins=-T");
+        println!("cargo::rustc-link-arg-bins={}", script.display());
     }
 }
 
