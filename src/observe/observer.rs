@@ -35,7 +35,7 @@ pub struct Observer {
     /// The configuration in force at the end of the last step, and what was counted then.
     active: Arc<ActiveConfig>,
     before: Counted,
-    /// When the last step ended, counted from the observer's start.
+    /// When the last step ended, counted from the relay's start.
     step_ended: Duration,
 }
 

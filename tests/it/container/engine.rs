@@ -159,6 +159,8 @@ fn build() -> PathBuf {
     let mut cargo = Command::new(env!("CARGO"));
     cargo.args(["build", "--profile", "dist", "--locked", "--target", &target, "--target-dir"]);
     let variable = target.to_uppercase().replace('-', "_");
+    // It would take the place of both that variable and the repository's own flags.
+    cargo.env_remove("RUSTFLAGS");
     cargo.env(format!("CARGO_TARGET_{variable}_RUSTFLAGS"), flags);
     output(cargo.arg(all).current_dir(&context));
     all.join(target).join("dist/pnet-nat")

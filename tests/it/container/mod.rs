@@ -11,7 +11,7 @@ use std::process::Command;
 use self::engine::{Bridge, COMMIT, Container, Image, docker};
 use crate::harness::{
     FIGURE_10, Peer, Place, Process, Relay, Settings, Site, WRONG, datagram, eventually, exchange,
-    folder,
+    folder, resident,
 };
 
 /// As docs/container.md starts it.
@@ -91,7 +91,7 @@ fn it_relays_on_the_hosts_network() {
     let (client, node) = (site.client(), site.node(4));
     exchange(&client, site.public(4), &node, 4);
     let process = docker(&["inspect", "--format", "{{.State.Pid}}", &container.0]);
-    let resident = resident_octets(&process);
+    let resident = resident(process.parse().unwrap());
     println!("it takes {resident} octets of memory");
     assert!(resident < MOST_RESIDENT, "{resident}; see link/record.sh");
     client.send(site.public(4), &datagram(&FIGURE_10, &[], WRONG));
@@ -106,13 +106,6 @@ fn it_relays_on_the_hosts_network() {
     exchange(&client, site.public(5), &site.node(5), 5);
 
     relay.finish();
-}
-
-/// The memory of a process, with the pages of its program.
-fn resident_octets(process: &str) -> u64 {
-    let status = fs::read_to_string(format!("/proc/{process}/status")).unwrap();
-    let resident = status.lines().find_map(|line| line.strip_prefix("VmRSS:")).unwrap();
-    1024 * resident.trim().strip_suffix(" kB").unwrap().parse::<u64>().unwrap()
 }
 
 /// Nothing is mounted but its secret.

@@ -33,7 +33,7 @@ pub use octets::{
     DEVICE, FIGURE_10, PASSWORD, PASSWORDS, SECOND, WRONG, datagram, request, response,
 };
 pub use pcap::{frame, header, pcap, udp};
-pub use process::{Process, pnet_nat, pnet_nat_within};
+pub use process::{Process, pnet_nat, pnet_nat_within, resident};
 pub use profinet::{has_profinet_peers, profinet_peer};
 pub use relay::{ANNOTATED, Place, Relay, Settings, folder, on_the_path};
 pub use site::{Peer, Site, close, exchange};

@@ -82,9 +82,7 @@ impl Process {
 
     /// The memory that the process has now, in octets.
     pub fn resident(&self) -> u64 {
-        let status = fs::read_to_string(format!("/proc/{}/status", self.id())).unwrap();
-        let resident = status.lines().find_map(|line| line.strip_prefix("VmRSS:")).unwrap();
-        resident.trim().trim_end_matches(" kB").parse::<u64>().unwrap() << 10
+        resident(self.id())
     }
 
     /// Sends a signal to the process.
@@ -180,4 +178,11 @@ impl Output {
         });
         Self { text, reader: Some(reader) }
     }
+}
+
+/// The memory that the process with this ID has now, in octets.
+pub fn resident(id: u32) -> u64 {
+    let status = fs::read_to_string(format!("/proc/{id}/status")).unwrap();
+    let resident = status.lines().find_map(|line| line.strip_prefix("VmRSS:")).unwrap();
+    resident.trim().trim_end_matches(" kB").parse::<u64>().unwrap() << 10
 }
