@@ -7,7 +7,7 @@ use std::env;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
-use super::host::{Host, ThisHost};
+use super::host::Host;
 use super::report::{Fault, Faults, Warning};
 use super::{Config, Table, parse_on};
 
@@ -129,12 +129,9 @@ impl Environment {
         &self.text
     }
 
-    /// Reads it, and the files that it names, and asks this host about the servers.
-    pub(super) fn load(&self, in_force: Option<&Table>) -> Read {
-        self.read_on(&ThisHost, in_force)
-    }
-
-    fn read_on(&self, host: &dyn Host, in_force: Option<&Table>) -> Read {
+    /// Reads it, and the files that it names, and asks this host about the servers that the table in force
+    /// does not have.
+    pub(super) fn load(&self, host: &dyn Host, in_force: Option<&Table>) -> Read {
         let read = parse_on(&self.text, Path::new(""), host, in_force);
         let (mut config, warnings) =
             read.map_err(|Faults(faults)| Faults(faults.into_iter().map(of_variable).collect()))?;
@@ -235,7 +232,7 @@ mod tests {
             ("PNET_NAT_ALLOW", "198.51.100.0/24,203.0.113.7"),
             ("PNET_NAT_PASSWORD_FILE", file),
         ];
-        of(&[&sound, variables].concat()).unwrap().read_on(&Unknown, None)
+        of(&[&sound, variables].concat()).unwrap().load(&Unknown, None)
     }
 
     #[test]

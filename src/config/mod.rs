@@ -57,7 +57,7 @@ use toml::de::DeTable;
 use crate::nat::{Mapping, NetId, Table};
 use crate::pnet::wire::Header;
 
-use host::{Host, ThisHost};
+use host::Host;
 use net::{Draft, PublicPort};
 use report::Report;
 use toml_table::Section;

@@ -4,9 +4,10 @@
 use std::path::{Path, PathBuf};
 
 use super::environment::Environment;
+use super::host::{Host, ThisHost, Unknown};
 use super::peek::AdminPlace;
 use super::report::{Faults, Warning};
-use super::{Config, Table, ThisHost, parse_on, peek, read_text};
+use super::{Config, Table, parse_on, peek, read_text};
 
 /// The file when none is named, and no variable gives a configuration.
 pub const USUAL_FILE: &str = "/etc/pnet-nat/pnet-nat.toml";
@@ -44,19 +45,28 @@ impl Source {
     /// Reads the configuration and the password files that it names, and asks this host about the
     /// servers.
     pub fn load(&self) -> Result<(Config, Vec<Warning>), Faults> {
-        self.read(None)
+        self.read(&ThisHost, None)
+    }
+
+    /// The same without asking this host: for those who find out themselves what it lacks.
+    pub fn load_without_host(&self) -> Result<(Config, Vec<Warning>), Faults> {
+        self.read(&Unknown, None)
     }
 
     /// The same for a relay that has this table in force: the host is asked only about servers that are
     /// not in it.
     pub fn load_again(&self, in_force: &Table) -> Result<(Config, Vec<Warning>), Faults> {
-        self.read(Some(in_force))
+        self.read(&ThisHost, Some(in_force))
     }
 
-    fn read(&self, in_force: Option<&Table>) -> Result<(Config, Vec<Warning>), Faults> {
+    fn read(
+        &self,
+        host: &dyn Host,
+        in_force: Option<&Table>,
+    ) -> Result<(Config, Vec<Warning>), Faults> {
         match self {
-            Self::File(path) => parse_on(&read_text(path)?, path, &ThisHost, in_force),
-            Self::Environment(environment) => environment.load(in_force),
+            Self::File(path) => parse_on(&read_text(path)?, path, host, in_force),
+            Self::Environment(environment) => environment.load(host, in_force),
         }
     }
 

@@ -89,6 +89,17 @@ fn check_reads_the_variables_too() {
 }
 
 #[test]
+fn probe_reads_the_variables_too() {
+    if !has_yaml() {
+        return;
+    }
+    let (site, folder) = (Site::claim(), folder(""));
+    let mut probe = Process::start(with_variables(&site, folder.path(), &["probe"]));
+    assert_eq!(probe.end(), Some(1), "no relay and no node is there: {}", probe.stderr());
+    assert!(probe.stdout().contains("node 4 of section-1"), "{}", probe.stdout());
+}
+
+#[test]
 fn a_fault_names_the_variable() {
     let folder = folder("");
     let mut command = pnet_nat(&["run", "--log-format", "text"]);
@@ -108,7 +119,7 @@ fn a_fault_names_the_variable() {
 #[test]
 fn two_configurations_are_one_too_many() {
     let folder = folder("");
-    for command in ["run", "check"] {
+    for command in ["run", "check", "probe"] {
         let mut command = pnet_nat(&[command, "--config", "pnet-nat.toml"]);
         command.current_dir(folder.path()).env("PNET_NAT_SUBNET", "172.17.17.0");
         let mut told = Process::start(command);

@@ -15,7 +15,6 @@ mod relay;
 mod system;
 
 use std::io::Write;
-use std::path::Path;
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::time::Duration;
@@ -28,8 +27,8 @@ use tokio::time::{Instant, sleep};
 use super::admin_server::{self, AdminServer};
 use super::output::{Format, Paint, out};
 use super::progress::{ProgressLine, bar};
-use super::{BAD_USE, complain, told};
-use crate::config::{self, Config, USUAL_FILE};
+use super::{BAD_USE, complain, source, told};
+use crate::config::Config;
 use crate::harmless::harmless_json;
 use crate::nat::{Mapping, NetId};
 use crate::peer::until;
@@ -86,19 +85,11 @@ pub(super) struct Args {
     format: Format,
 }
 
-impl Args {
-    /// The relay's configuration file.
-    fn file(&self) -> &Path {
-        self.relay.files.config.as_deref().unwrap_or(Path::new(USUAL_FILE))
-    }
-}
-
 /// Makes all checks and prints them. The exit code is 1 when one of them is bad.
 pub(super) fn run(args: &Args) -> anyhow::Result<ExitCode> {
+    let read = source(args.relay.files.config.as_deref());
     // The host's routes are checked here, and do not refuse the configuration.
-    let file = args.file();
-    let read = config::read_text(file).and_then(|text| config::parse(&text, file));
-    let (config, _) = match told(read) {
+    let (config, _) = match read.and_then(|source| told(source.load_without_host())) {
         Ok(read) => read,
         Err(code) => return Ok(code),
     };
@@ -126,7 +117,7 @@ fn selected(args: &Args, config: &Config) -> Result<Vec<Mapping>, String> {
         |net: &NetId| args.net.as_ref().is_none_or(|name| table.net(*net).name == *name);
     let nets: Vec<_> = table.net_ids().filter(is_wanted).collect();
     if let (true, Some(name)) = (nets.is_empty(), &args.net) {
-        return Err(format!("no net of {:?} has the name {name:?}", args.file()));
+        return Err(format!("no net has the name {name:?}"));
     }
     let mappings = nets.into_iter().flat_map(|net| table.mappings_of(net));
     let mappings = mappings.map(|mapping| table.mapping(mapping));

@@ -2,6 +2,7 @@
 
 use std::io;
 
+use super::super::host::ThisHost;
 use super::*;
 
 /// A router with one interface for the Internet, one for a section, and one that leads to further
