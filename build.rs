@@ -26,9 +26,9 @@ fn main() {
 
 fn put_the_relay_first() {
     let said = |name| env::var(name).unwrap_or_default();
-    let target = (said("CARGO_CFG_TARGET_ARCH"), said("CARGO_CFG_TARGET_OS"));
     // Where it was tried.
-    if said("PROFILE") == "release" && target == ("x86_64".to_owned(), "linux".to_owned()) {
+    let is_tried = matches!(&*said("CARGO_CFG_TARGET_ARCH"), "x86_64" | "aarch64" | "arm");
+    if said("PROFILE") == "release" && said("CARGO_CFG_TARGET_OS") == "linux" && is_tried {
         let script = Path::new(&said("CARGO_MANIFEST_DIR")).join("link/relay-first.ld");
         println!("cargo::rerun-if-changed={}", script.display());
         println!("cargo::rustc-link-arg-bins=-T");
