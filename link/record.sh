@@ -14,11 +14,10 @@ set -euo pipefail
 cd "$(dirname "$0")/.."
 
 target=x86_64-unknown-linux-gnu
-build=(cargo build --profile dist --locked --target $target)
-export CARGO_PROFILE_DIST_STRIP=none
+build=(env CARGO_PROFILE_DIST_STRIP=none cargo build --profile dist --locked --target $target)
 CARGO_TARGET_X86_64_UNKNOWN_LINUX_GNU_RUSTFLAGS="-C target-feature=+crt-static" CARGO_TARGET_DIR=target/link \
     "${build[@]}"
-deploy/cross/debian.sh env CARGO_PROFILE_DIST_STRIP=none "${build[@]}"
+deploy/cross/debian.sh "${build[@]}"
 
 folder=$(mktemp -d)
 trap 'kill $(jobs -p) 2>/dev/null || true; rm -r "$folder"' EXIT
