@@ -9,7 +9,7 @@ use super::ports::Ports;
 use super::profinet::Protocol;
 use crate::cli::output::Format;
 use crate::cli::told;
-use crate::config;
+use crate::config::Source;
 use crate::nat::Table;
 use crate::pnet::wire::Header;
 
@@ -33,8 +33,7 @@ impl Settings {
         let (mut header, mut table) = (args.header, None);
         if let Some(path) = &args.config {
             // A capture is often read on another machine, so the servers are not looked for here.
-            let text = told(config::read_text(path))?;
-            let (config, _) = told(config::parse(&text, path))?;
+            let (config, _) = told(Source::File(path.clone()).load_without_host())?;
             for mapping in config.table.mappings() {
                 ports.add(mapping.public_port);
                 ports.add(mapping.server.port());
