@@ -2,6 +2,11 @@
 
 use std::process::ExitCode;
 
+use pnet_nat::datapath::LargeBlocksApart;
+
+#[global_allocator]
+static ALLOCATOR: LargeBlocksApart = LargeBlocksApart;
+
 fn main() -> ExitCode {
     pnet_nat::cli::main()
 }

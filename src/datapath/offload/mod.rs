@@ -49,9 +49,9 @@ use layout::{Entry, Key, entry};
 use places::Places;
 use program::Maps;
 
-/// Nodes and credentials that a reload may bring, beside those of the start. Later there is no right to make
-/// room for more, and flows of others stay on the sockets.
-const SPARE: usize = 128;
+/// Nodes and credentials that reloads may bring, beside an eighth of those of the start. Later there is no right
+/// to make room for more, and flows of others stay on the sockets.
+const SPARE: usize = 32;
 /// The most flows that the kernel carries: 8 MB.
 const MOST_FLOWS: usize = 1 << 16;
 
@@ -198,8 +198,9 @@ impl Offload {
         let entries = entries.map_err(&map)?;
         let flows = Arc::new(Places::new(most_flows).map_err(&map)?);
         let credentials: usize = table.nets().iter().map(|net| net.credentials.len()).sum();
-        let nodes = Arc::new(Places::new(table.mappings().len() + SPARE).map_err(&map)?);
-        let credentials = Arc::new(Places::new(credentials + SPARE).map_err(&map)?);
+        let room = |now: usize| now + now / 8 + SPARE;
+        let nodes = Arc::new(Places::new(room(table.mappings().len())).map_err(&map)?);
+        let credentials = Arc::new(Places::new(room(credentials)).map_err(&map)?);
         let lease = SharedArray::new(1).map_err(&map)?;
         let inner = bpf::create_map(MapKind::Array, 4, 4, 1, None).map_err(&map)?;
         let outer = bpf::create_map(MapKind::ArrayOfMaps, 4, 4, 1, Some(inner.as_fd()));

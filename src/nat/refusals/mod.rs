@@ -97,7 +97,8 @@ pub fn net_key(name: &str) -> u64 {
 /// Entries of one reason that share a part of the hash. A look at a set costs a cache line or two, and
 /// as many for the entry.
 //
-// With an alignment of its own, the allocator would write zeros to all memory at the start.
+// With an alignment of its own, a usual allocator would write zeros to all memory at the start. That of the program
+// has the sets begin with a cache line anyway.
 #[derive(Debug, FromZeros)]
 struct Set {
     /// A part of the hash of each entry; 0: free. The free ones are the last ones.
