@@ -30,6 +30,5 @@ pub use socket::filtered::KernelDrops;
 #[cfg(feature = "cli")]
 pub(crate) use socket::port_pool::{USUAL_PORT_RANGE, port_range, port_ranges};
 pub use socket::setup::StartError;
-#[cfg(feature = "cli")]
 pub use socket::sys::large_blocks::LargeBlocksApart;
 pub(crate) use throttlings::Throttling;
