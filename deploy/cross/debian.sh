@@ -37,7 +37,7 @@ exec unshare --mount --propagation private sh -euc '
     lld="-C link-arg=-fuse-ld=lld"
     exec chroot "$debian" env --ignore-environment --chdir=/pnet-nat \
         PATH=/usr/bin:/bin HOME=/root TERM=dumb \
-        CARGO_HOME=/cargo CARGO_NET_OFFLINE=true CARGO_TARGET_DIR=target/cross \
+        CARGO_HOME=/cargo CARGO_NET_OFFLINE=true CARGO_TARGET_DIR=target/cross CARGO_INCREMENTAL=0 \
         PNET_NAT_COMMIT="${PNET_NAT_COMMIT-}" CARGO_PROFILE_DEV_DEBUG="${CARGO_PROFILE_DEV_DEBUG-1}" \
         CARGO_TARGET_X86_64_UNKNOWN_LINUX_GNU_RUSTFLAGS="$static" \
         CARGO_TARGET_AARCH64_UNKNOWN_LINUX_GNU_RUSTFLAGS="$static" \
