@@ -4,7 +4,8 @@
 #
 # Needs root and the packages buildah, busybox-static, mmdebstrap, qemu-system-arm and qemu-system-misc, and
 # cargo-deb. Compilers and kernels are Debian's; it ends with 75 where they cannot be reached. Without
-# arguments it takes all processors; arguments name some: arm64 armhf s390x.
+# arguments it takes all processors; arguments name some: arm64 armhf s390x. With the word `compile` before them it
+# compiles, and that is all.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 
@@ -18,8 +19,14 @@ declare -A MACHINES=(
     [s390x]="qemu-system-s390x -machine s390-ccw-virtio -cpu qemu,vx=off,vxeh=off")
 declare -A CONSOLES=([arm64]=ttyAMA0 [armhf]=ttyAMA0 [s390x]=ttysclp0)
 
+compile_only=
+if [ "${1-}" = compile ]; then
+    compile_only=yes
+    shift
+fi
 processors=("$@")
-[ $# -gt 0 ] || processors=(armhf arm64 s390x)
+# Those with unit tests first: their machines work longest.
+[ $# -gt 0 ] || processors=(armhf s390x arm64)
 work=$PWD/target/processors
 mkdir -p "$work"
 
@@ -39,7 +46,8 @@ compile() {
     mkdir -p "$work/$processor"
     ! has_units "$processor" || units=(--lib)
     # The linker warns of names that static programs look up; nothing here looks up a name of a host.
-    PNET_NAT_CROSS_FLAGS="-A linker-messages" debian env CARGO_BUILD_WARNINGS=deny \
+    # Without what debuggers read, it is a third of the octets.
+    PNET_NAT_CROSS_FLAGS="-A linker-messages" CARGO_PROFILE_DEV_DEBUG=0 debian env CARGO_BUILD_WARNINGS=deny \
         cargo test --no-run --locked --target "$target" "${units[@]}" --test violations 2>"$log" ||
         { local code=$?; cat "$log"; return $code; }
 }
@@ -136,12 +144,18 @@ images() {
     done
 }
 
+if [ "$compile_only" ]; then
+    for processor in "${processors[@]}"; do
+        compile "$processor"
+    done
+    exit
+fi
+
 mkdir -p target/package
 cargo run --quiet --locked -- man target/package
 for shell in bash:pnet-nat.bash zsh:_pnet-nat fish:pnet-nat.fish; do
     cargo run --quiet --locked -- completions "${shell%:*}" >"target/package/${shell#*:}"
 done
-export CARGO_PROFILE_DEV_DEBUG=0 # a third of the octets
 # A machine works while the next one's program is compiled.
 declare -A machines
 trap 'kill $(jobs -p) 2>/dev/null || true' EXIT
