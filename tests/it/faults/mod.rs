@@ -11,8 +11,9 @@ mod servers;
 mod threads;
 
 use std::net::{Ipv4Addr, SocketAddr};
+use std::time::Duration;
 
-use crate::harness::{Network, Peer, Relay, Settings, exchange, request, response};
+use crate::harness::{Network, Peer, Relay, Settings, eventually, exchange, request, response};
 
 /// A second plant section, on a cable of its own.
 const SECTION_2: &str = r#"
@@ -94,6 +95,23 @@ impl Sections<'_> {
             assert_eq!(self.client.expect(&response(1)), self.section_2());
         }
         self.relay.at_rest();
+    }
+
+    /// Waits until the relay has heard that the way to section 1 is gone: until then, the kernel sends what it
+    /// carries where it did before. Returns how many requests could not be sent.
+    #[track_caller]
+    fn way_is_gone(&self) -> u64 {
+        let section_1 = [("net", "section-1"), ("direction", "request")];
+        let received = || self.relay.metrics().sum("pnet_nat_received_datagrams_total", &section_1);
+        let failed = eventually("a request cannot be sent", || {
+            let before = received();
+            self.client.send(self.section_1(), &request(4));
+            eventually("it is counted", || (received() > before).then_some(()));
+            let drops = self.relay.at_rest().drops();
+            drops.get(&("request".to_owned(), "send_failed".to_owned())).copied()
+        });
+        while self.node.receive_within(Duration::from_millis(50)).is_some() {}
+        failed
     }
 
     /// The fault is over: section 1 is reached, and over the same flow.
