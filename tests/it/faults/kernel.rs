@@ -46,35 +46,33 @@ fn a_full_send_buffer() {
         }
         plant.ip("address delete 172.17.17.4/24 dev eth0");
         edge.ip("neighbour flush dev eth1");
-        let failed = |net| {
-            let labels = [("net", net), ("direction", "request"), ("reason", "send_failed")];
-            sections.relay.metrics().sum("pnet_nat_dropped_datagrams_total", &labels)
-        };
         let largest = datagram(&FIGURE_10, &[0; 63], PASSWORD);
         eventually("the send buffer is full", || {
             for _ in 0..4000 {
                 sections.client.send(sections.section_1(), &largest);
             }
-            (failed("section-1") > 0).then_some(())
+            (sections.failed("section-1") > 0).then_some(())
         });
         let complaint = eventually("it is told", || {
             sections.relay.process.logged("cannot send to a server").pop()
         });
         assert!(complaint["error"].as_str().unwrap().contains("os error 11"), "{complaint}");
         sections.client.send(sections.section_2(), &request(1));
-        eventually("section 2 shares the socket", || (failed("section-2") == 1).then_some(()));
+        eventually("section 2 shares the socket", || {
+            (sections.failed("section-2") == 1).then_some(())
+        });
         sections.relay.at_rest();
 
         plant.ip("address add 172.17.17.4/24 dev eth0");
         let held_back = sections.node.receive().0;
         assert_eq!(held_back, largest);
         while sections.node.receive_within(Duration::from_millis(200)).is_some() {}
-        let before = [failed("section-1"), failed("section-2")];
+        let before = [sections.failed("section-1"), sections.failed("section-2")];
         sections.only_section_1_is_hurt(30);
         for _ in 0..30 {
             sections.node.expect(&request(4));
         }
-        assert_eq!([failed("section-1"), failed("section-2")], before);
+        assert_eq!([sections.failed("section-1"), sections.failed("section-2")], before);
         sections.all_is_well_again(port);
     });
 }

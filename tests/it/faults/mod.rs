@@ -97,6 +97,12 @@ impl Sections<'_> {
         self.relay.at_rest();
     }
 
+    /// How many requests to a section could not be sent.
+    fn failed(&self, net: &str) -> u64 {
+        let labels = [("net", net), ("direction", "request"), ("reason", "send_failed")];
+        self.relay.metrics().sum("pnet_nat_dropped_datagrams_total", &labels)
+    }
+
     /// Waits until the relay has heard that the way to section 1 is gone: until then, the kernel sends what it
     /// carries where it did before. Returns how many requests could not be sent.
     #[track_caller]
@@ -107,8 +113,9 @@ impl Sections<'_> {
             let before = received();
             self.client.send(self.section_1(), &request(4));
             eventually("it is counted", || (received() > before).then_some(()));
-            let drops = self.relay.at_rest().drops();
-            drops.get(&("request".to_owned(), "send_failed".to_owned())).copied()
+            self.relay.at_rest();
+            let failed = self.failed("section-1");
+            (failed > 0).then_some(failed)
         });
         while self.node.receive_within(Duration::from_millis(50)).is_some() {}
         failed
