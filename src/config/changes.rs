@@ -7,7 +7,7 @@ use std::time::Duration;
 use serde::Serialize;
 
 use super::{Config, Runtime};
-use crate::nat::{Credential, Mapping, Net, Table};
+use crate::nat::{Credential, Mapping, NO_NODE, Net, Table};
 use crate::pnet::wire::Password;
 
 /// The differences between two configurations.
@@ -19,9 +19,10 @@ pub struct Changes {
     pub nets_added: Vec<String>,
     /// By name.
     pub nets_removed: Vec<String>,
-    /// Nets with a changed rule: clients, timeout, limits, or what is required of a password.
+    /// Nets with a changed rule: kind, start port, clients, timeout, limits, the records that may be
+    /// read, what is required of a password, which one is sent, or whether a gateway is meant.
     pub nets_changed: Vec<String>,
-    /// Nodes, by net: "section-1: 1-4, 33".
+    /// Nodes, by net: "section-1: 1-4, 33". A PROFINET device is told by its net alone.
     pub mappings_added: Vec<String>,
     /// Nodes, by net.
     pub mappings_removed: Vec<String>,
@@ -53,7 +54,7 @@ impl Display for NotInForce {
 impl Changes {
     /// What is different in `new`.
     pub fn between(old: &Config, new: &Config) -> Self {
-        let nets = Difference::of(&nets(&old.table), &nets(&new.table), same_rules);
+        let nets = Difference::of(&nets(old), &nets(new), |old, new| old.is_same(new));
         let mappings = Difference::of(&mappings(&old.table), &mappings(&new.table), same_way);
         let passwords = |old: &&Credential, new: &&Credential| same_passwords(old, new);
         let credentials =
@@ -100,8 +101,18 @@ impl<K: Ord + Copy> Difference<K> {
     }
 }
 
-fn nets(table: &Table) -> BTreeMap<&str, &Net> {
-    table.nets().iter().map(|net| (net.name.as_str(), net)).collect()
+/// The rules of a net.
+struct NetRules<'a> {
+    net: &'a Net,
+    is_beyond_gateway: bool,
+}
+
+fn nets(config: &Config) -> BTreeMap<&str, NetRules<'_>> {
+    let rules = |id| NetRules {
+        net: config.table.net(id),
+        is_beyond_gateway: config.beyond_gateway.contains(&id),
+    };
+    config.table.net_ids().map(rules).map(|rules| (rules.net.name.as_str(), rules)).collect()
 }
 
 fn mappings(table: &Table) -> BTreeMap<(&str, u8), Mapping> {
@@ -119,27 +130,39 @@ fn credentials(table: &Table) -> BTreeMap<(&str, &str), &Credential> {
     credentials
 }
 
-fn same_rules(old: &&Net, new: &&Net) -> bool {
-    // Credentials are compared one by one, and what the kind says is compared through the mappings.
-    let Net {
-        name: _,
-        kind: _,
-        allow,
-        credentials: _,
-        allow_without_password,
-        require_response_password,
-        idle_timeout,
-        max_flows,
-        max_requests,
-        max_flow_requests,
-    } = old;
-    *allow == new.allow
-        && *allow_without_password == new.allow_without_password
-        && *require_response_password == new.require_response_password
-        && *idle_timeout == new.idle_timeout
-        && *max_flows == new.max_flows
-        && *max_requests == new.max_requests
-        && *max_flow_requests == new.max_flow_requests
+impl NetRules<'_> {
+    /// Credentials are compared one by one, but for their order.
+    fn is_same(&self, new: &Self) -> bool {
+        let Net {
+            name: _,
+            kind,
+            allow,
+            credentials: _,
+            allow_without_password,
+            require_response_password,
+            idle_timeout,
+            max_flows,
+            max_requests,
+            max_flow_requests,
+        } = self.net;
+        let net = new.net;
+        *kind == net.kind
+            && *allow == net.allow
+            && *allow_without_password == net.allow_without_password
+            && *require_response_password == net.require_response_password
+            && *idle_timeout == net.idle_timeout
+            && *max_flows == net.max_flows
+            && *max_requests == net.max_requests
+            && *max_flow_requests == net.max_flow_requests
+            && self.is_beyond_gateway == new.is_beyond_gateway
+            && self.sent_password() == new.sent_password()
+    }
+
+    /// The name of the password that requests of a remote net get.
+    fn sent_password(&self) -> Option<&str> {
+        let first = self.net.credentials.first().filter(|_| self.net.kind.is_remote());
+        first.map(|credential| credential.name.as_str())
+    }
 }
 
 fn same_way(old: &Mapping, new: &Mapping) -> bool {
@@ -172,9 +195,12 @@ fn times(runtime: &Runtime) -> [Duration; 2] {
 
 /// A text for each net: its name and its nodes, written as in the file.
 fn by_net(nodes: &[(&str, u8)]) -> Vec<String> {
-    let of_net = |nodes: &[(&str, u8)]| {
-        let numbers: Vec<_> = nodes.iter().map(|(_, node)| u16::from(*node)).collect();
-        format!("{}: {}", nodes[0].0, runs(&numbers))
+    let of_net = |nodes: &[(&str, u8)]| match nodes {
+        [(net, NO_NODE)] => (*net).to_owned(),
+        nodes => {
+            let numbers: Vec<_> = nodes.iter().map(|(_, node)| u16::from(*node)).collect();
+            format!("{}: {}", nodes[0].0, runs(&numbers))
+        }
     };
     nodes.chunk_by(|(net, _), (next, _)| net == next).map(of_net).collect()
 }
@@ -207,8 +233,9 @@ mod tests {
 
     #[test]
     fn nodes_are_told_as_runs_by_their_nets() {
-        let nodes = [("a", 1), ("a", 2), ("a", 3), ("a", 5), ("b", 6), ("c", 7), ("c", 8)];
-        assert_eq!(by_net(&nodes), ["a: 1-3, 5", "b: 6", "c: 7-8"]);
+        let nodes =
+            [("a", 1), ("a", 2), ("a", 3), ("a", 5), ("b", 6), ("c", 7), ("c", 8), ("d", NO_NODE)];
+        assert_eq!(by_net(&nodes), ["a: 1-3, 5", "b: 6", "c: 7-8", "d"]);
         assert_eq!(by_net(&[]), [""; 0]);
     }
 

@@ -2,7 +2,7 @@
 
 use std::net::SocketAddr;
 
-use crate::nat::{NetKind, Record, Records};
+use crate::nat::{NO_NODE, NetKind, Record, Records};
 use crate::profinet::rpc;
 
 use super::address::{address, is_a_host, is_link_local};
@@ -10,9 +10,6 @@ use super::net::{
     Allowed, Claim, Draft, PublicPort, Rules, refuse_everybody, rules, warn_of_privileged_ports,
 };
 use super::toml_table::{Entry, Section};
-
-/// A device has no node address of P-NET.
-const NO_NODE: u8 = 0;
 
 /// One public port → the device's RPC port.
 pub(super) fn profinet_device(mut section: Section<'_>) -> Draft<'_> {

@@ -48,7 +48,7 @@ pub use flow::{FlowRecord, FlowTraffic};
 pub use gcra::RequestRate;
 pub use ids::{FlowId, ListenerId, MappingId, NetId, UpstreamId};
 pub use last_sender::LastSender;
-pub use net::{Credential, Mapping, Net, NetKind};
+pub use net::{Credential, Mapping, NO_NODE, Net, NetKind};
 pub use offload::{Held, Lender, Lent, Offer, SharedFlow};
 pub use payload::Payload;
 #[cfg(test)]

@@ -158,13 +158,16 @@ impl Credential {
     }
 }
 
+/// Stands for the node address of a PROFINET device, which has none.
+pub const NO_NODE: u8 = 0;
+
 /// One element of the NAT table (PAS 5.2.6): a public port and the server node behind it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Mapping {
     /// The net it belongs to.
     pub net: NetId,
-    /// P-NET node address of the server, 1 to [`LAST_NODE`](crate::pnet::wire::LAST_NODE); 0 for a
-    /// PROFINET device.
+    /// P-NET node address of the server, 1 to [`LAST_NODE`](crate::pnet::wire::LAST_NODE); [`NO_NODE`]
+    /// for a PROFINET device.
     pub node_address: u8,
     /// The one address of the router to which clients send, in a remote net; none: every address of
     /// `[public] listen`.

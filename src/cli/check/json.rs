@@ -7,7 +7,7 @@ use serde::Serialize;
 use super::Refusal;
 use super::client::rows;
 use crate::config::{Config, Fault, Warning};
-use crate::nat::{Mapping, Net};
+use crate::nat::{Mapping, NO_NODE, Net};
 
 /// Faults, or what the configuration results in.
 #[derive(Serialize)]
@@ -122,7 +122,7 @@ fn told(fault: &Fault) -> Told<'_> {
 fn outcome(config: &Config) -> Outcome<'_> {
     let line = |mapping: &Mapping| Line {
         net: &config.table.net(mapping.net).name,
-        node: Some(mapping.node_address).filter(|node| *node != 0),
+        node: Some(mapping.node_address).filter(|node| *node != NO_NODE),
         public_address: mapping.local_address,
         public_port: mapping.public_port,
         server: mapping.server,

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use super::reference::{read as read_reference, switched_on};
+use super::reference::{read as read_reference, switched_on, switched_on_with};
 use super::*;
 
 /// The checksum of each net by its name.
@@ -11,29 +11,17 @@ fn hashes(config: &Config) -> BTreeMap<String, String> {
     nets.map(|id| (config.table.net(id).name.clone(), config.hash_of(id))).collect()
 }
 
-/// Which nets have another checksum with this change of the annotated configuration. The change is made in the
-/// section whose header line this is.
+/// Which nets have another checksum with this change of the annotated configuration.
 fn changed_by(section: &str, key: &str, value: &str) -> Vec<String> {
-    let (mut current, mut found) = ("", false);
-    let mut text = String::new();
-    let all = switched_on();
-    for line in all.lines() {
-        let trimmed = line.trim();
-        if trimmed.starts_with('[') {
-            current = trimmed.trim_matches(['[', ']']);
-        }
-        if current == section && trimmed.starts_with(&format!("{key} = ")) {
-            found = true;
-            text += &format!("{key} = {value}\n");
-        } else {
-            text += &format!("{line}\n");
-        }
-    }
-    assert!(found, "{section}.{key}");
     let sound = |text: &str| hashes(&read_reference(text).unwrap_or_else(|it| panic!("{it}")).0);
-    let (before, after) = (sound(&all), sound(&text));
+    let (before, after) = (sound(&switched_on()), sound(&switched_on_with(section, key, value)));
     let is_new = |(name, hash): &(&String, &String)| before.get(*name) != Some(*hash);
     after.iter().filter(is_new).map(|(name, _)| name.clone()).collect()
+}
+
+/// Each key of the annotated configuration with another value.
+pub(super) fn each_key() -> impl Iterator<Item = (&'static str, &'static str)> {
+    OF_A_NET.into_iter().chain(OF_A_REMOTE_NET).chain(OF_ALL).chain(OF_NONE)
 }
 
 /// Each key with another value than in the annotated configuration.

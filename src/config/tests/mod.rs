@@ -3,6 +3,7 @@
 //! Tests start from [`SOUND`], which stands in a folder with password files. What is refused is in
 //! `faults`; that the annotated configuration tells the truth, in `reference`.
 
+mod changes;
 mod faults;
 mod hash;
 mod host;

@@ -8,14 +8,15 @@ pub(super) const REFERENCE: &str = include_str!("../../../config/pnet-nat.toml")
 pub(super) fn read(text: &str) -> Result<(Config, Vec<Warning>), Faults> {
     let folder = tempfile::tempdir().unwrap();
     fs::create_dir(folder.path().join("secrets")).unwrap();
-    for name in ["section-1", "section-1-device", "press", "press-device", "plant-2"] {
+    let names = ["section-1", "section-1-device", "press", "press-device", "plant-2"];
+    for (name, last) in names.into_iter().zip(b'A'..) {
         let path = folder.path().join("secrets").join(name);
-        fs::write(&path, b"s3cr3t-A").unwrap();
+        fs::write(&path, [&b"s3cr3t-"[..], &[last]].concat()).unwrap();
         fs::set_permissions(&path, Permissions::from_mode(0o600)).unwrap();
     }
-    for name in ["admin", "admin-2"] {
+    for (name, last) in [("admin", 'f'), ("admin-2", 'g')] {
         let token = folder.path().join("secrets").join(name);
-        fs::write(&token, b"0123456789abcdef").unwrap();
+        fs::write(&token, format!("0123456789abcde{last}")).unwrap();
         fs::set_permissions(&token, Permissions::from_mode(0o600)).unwrap();
     }
     parse(text, &folder.path().join("pnet-nat.toml"))
@@ -30,6 +31,25 @@ pub(super) fn switched_on() -> String {
         _ => line.to_owned() + "\n",
     };
     REFERENCE.lines().map(line).collect()
+}
+
+/// The same with another value of one key, in the section whose header line this is.
+pub(super) fn switched_on_with(section: &str, key: &str, value: &str) -> String {
+    let (mut current, mut found) = (String::new(), false);
+    let line = |line: &str| {
+        let trimmed = line.trim();
+        if trimmed.starts_with('[') {
+            current = trimmed.trim_matches(['[', ']']).to_owned();
+        }
+        if current == section && trimmed.starts_with(&format!("{key} = ")) {
+            found = true;
+            return format!("{key} = {value}\n");
+        }
+        format!("{line}\n")
+    };
+    let text = switched_on().lines().map(line).collect();
+    assert!(found, "{section}.{key}");
+    text
 }
 
 #[test]

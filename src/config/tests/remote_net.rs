@@ -3,7 +3,7 @@
 use super::*;
 
 /// A relay that has nothing but a remote net.
-const ADAPTER: &str = r#"[[remote_net]]
+pub(super) const ADAPTER: &str = r#"[[remote_net]]
 name = "plant-2"
 router = "203.0.113.5"
 start_port = 20000

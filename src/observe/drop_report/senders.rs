@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, HashMap};
 use std::net::IpAddr;
 
 use crate::datapath::ActiveConfig;
-use crate::nat::{DropReason, NetId, Refused};
+use crate::nat::{DropReason, NO_NODE, NetId, Refused};
 use crate::observe::refusals::Refusals;
 
 /// What was counted at the last look.
@@ -44,7 +44,8 @@ impl Senders {
             let sender = of_group.entry(refused.sender).or_default();
             sender.count += count;
             sender.last = sender.last.max(refusal.last);
-            sender.nodes.extend(Some(u16::from(refused.node)).filter(|&node| node > 0));
+            let node = Some(refused.node).filter(|&node| node != NO_NODE);
+            sender.nodes.extend(node.map(u16::from));
         }
         self.0 = seen;
         senders
