@@ -7,6 +7,7 @@ use anstream::{AutoStream, ColorChoice};
 use comfy_table::{CellAlignment, Table, presets};
 use serde::Serialize;
 
+use crate::nat::NO_NODE;
 use crate::probe::Verdict;
 
 /// The format of the output.
@@ -146,6 +147,11 @@ pub(super) fn duration(seconds: Option<f64>) -> String {
     let before_the_point = figure.max(1e-9).log10().floor();
     let decimals = (1.0 - before_the_point).clamp(0.0, 3.0) as usize;
     format!("{figure:.decimals$} {unit}")
+}
+
+/// A node's address in a cell; "–" where there is none, as for a PROFINET device.
+pub(super) fn node(node: u8) -> String {
+    if node == NO_NODE { "–".to_owned() } else { node.to_string() }
 }
 
 /// A time rounded to its largest unit.

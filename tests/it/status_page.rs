@@ -232,6 +232,43 @@ fn refused_requests_are_seen_with_their_cause() {
     assert_eq!(errors(&browser), [""; 0]);
 }
 
+/// A PROFINET device has no node address.
+#[test]
+fn a_device_is_called_by_its_name() {
+    let Some(browser) = Browser::start() else { return };
+    let site = Site::claim();
+    let (device, port) = (site.address(40), site.start_port() + 150);
+    let configuration = configuration(&site).replace("[admin]\n", "[admin]\nprobe = true\n");
+    let allow = format!("[\"127.0.0.0/8\", \"{}/24\"]", site.address(0));
+    let _relay = Relay::start(
+        &format!(
+            "{configuration}\n[[profinet_device]]\nname = \"drive-7\"\npublic_port = {port}\n\
+             address = \"{device}\"\nallow = {allow}\n"
+        ),
+        site.admin(),
+        None,
+    );
+    browser.look(1280, 2400, false, "light");
+    browser.open(&format!("http://{}/", site.admin()));
+    let public = format!("{}:{port}", site.public_address());
+    // There is no device.
+    let asking = ["inventory", &public, "--timeout", "100ms", "--retries", "0"];
+    assert_eq!(pnet_nat(&asking).output().unwrap().status.code(), Some(1));
+    site.client().send(public.parse().unwrap(), &request(1));
+
+    browser.expect("#silent-links button", "drive-7");
+    assert_eq!(browser.text("#silent-links"), "drive-7");
+    browser.expect("[data-net=drive-7] [data-node] th", &format!("–\nProbe\n{port} → {device}"));
+    let label = "return document.querySelector('[data-net=drive-7] [data-node] button').ariaLabel";
+    assert_eq!(browser.run(label), "Probe drive-7");
+    browser.expect("#refused tbody", "sends to drive-7");
+    browser.run("document.getElementById('connected').open = true");
+    let nodes = "#clients tbody td:nth-of-type(2)";
+    browser.expect(nodes, "–");
+    assert_eq!(browser.text(nodes), "–");
+    assert_eq!(errors(&browser), [""; 0]);
+}
+
 #[track_caller]
 pub(crate) fn expect_no_accessibility_faults(browser: &Browser, state: &str) {
     assert_eq!(

@@ -7,7 +7,7 @@ use std::net::{IpAddr, SocketAddr};
 use comfy_table::Table;
 use serde::Deserialize;
 
-use super::super::output::{age, table};
+use super::super::output::{age, node, table};
 use crate::config::runs;
 
 /// The last columns of both tables.
@@ -46,7 +46,7 @@ struct Credential {
 /// A client of a net, with everything that it uses one password for.
 #[derive(Debug, Default)]
 struct Client {
-    nodes: Vec<u16>,
+    nodes: Vec<u8>,
     flows: u64,
     age_seconds: f64,
     idle_seconds: f64,
@@ -95,7 +95,7 @@ impl Flows {
             [
                 net.to_owned(),
                 client.to_string(),
-                runs(&of.nodes),
+                nodes(&of.nodes),
                 password_name(password),
                 of.flows.to_string(),
                 age(of.age_seconds),
@@ -115,7 +115,7 @@ impl Flows {
             [
                 flow.net.clone(),
                 flow.client.to_string(),
-                flow.node.to_string(),
+                node(flow.node),
                 password_name(flow.credential.as_deref()),
                 age(flow.age_seconds),
                 age(flow.idle_seconds),
@@ -138,11 +138,19 @@ impl Client {
         let idle = if is_first { flow.idle_seconds } else { self.idle_seconds };
         self.idle_seconds = idle.min(flow.idle_seconds);
         self.age_seconds = self.age_seconds.max(flow.age_seconds);
-        self.nodes.push(flow.node.into());
+        self.nodes.push(flow.node);
         self.flows += 1;
         self.requests += flow.requests;
         self.responses += flow.responses;
         self.octets += flow.octets;
+    }
+}
+
+/// Node addresses of one net, ascending.
+fn nodes(all: &[u8]) -> String {
+    match all {
+        [one] => node(*one),
+        all => runs(&all.iter().copied().map(u16::from).collect::<Vec<_>>()),
     }
 }
 

@@ -9,7 +9,7 @@ use serde::Deserialize;
 use serde_json::Value;
 use strum::VariantArray;
 
-use super::super::output::{age, table};
+use super::super::output::{age, node, table};
 use super::table::Layout;
 use crate::nat::DropReason;
 
@@ -83,7 +83,7 @@ impl Row {
         [
             self.source.clone(),
             self.net.clone(),
-            if self.node == 0 { "–".to_owned() } else { self.node.to_string() },
+            node(self.node),
             self.reason.clone(),
             self.count.to_string(),
             age(self.first_age_seconds) + " ago",

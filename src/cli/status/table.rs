@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use comfy_table::ContentArrangement;
 
-use super::super::output::{Paint, age, duration, table};
+use super::super::output::{self, Paint, age, duration, table};
 use super::refused::hint;
 use super::snapshot::{Net, Node, NotInForce, Offload, Reload, Snapshot, Status, Traffic};
 
@@ -231,7 +231,7 @@ fn node_row(net: &Net, node: &Node, earlier: Earlier<'_>) -> [String; 10] {
     let [requests, answers] = traffic(&node.traffic, before);
     [
         net.name.clone(),
-        node.node.to_string(),
+        output::node(node.node),
         node_state(node),
         requests,
         answers,

@@ -3,9 +3,13 @@ use std::net::SocketAddr;
 use super::*;
 use crate::config::Config;
 use crate::config::fixture::{NODE_1, NODE_33, SECTION, config, large_table};
-use crate::nat::{Direction, DropReason, MappingId, ThrottleScope, Throttled, Writer};
+use crate::nat::{
+    Direction, DropReason, Mapping, MappingId, NO_NODE, NetId, Table, ThrottleScope, Throttled,
+    Writer,
+};
 use crate::observe::events::Event;
 use crate::observe::history::Series;
+use crate::pnet::wire::Header;
 
 /// An observer that looks when the test says so.
 struct Looks {
@@ -107,6 +111,20 @@ async fn a_power_cut_is_one_event() {
         looks.ask(MappingId(node), 11, true);
     }
     assert_eq!(looks.look(15).await.len(), 3, "a few have an event each");
+}
+
+/// A PROFINET device has no node address that anybody could look for.
+#[tokio::test]
+async fn a_device_is_told_by_its_name() {
+    let mut nets = config().table.nets()[1..].to_vec();
+    nets[0].name = "drive-7".into();
+    let device = Mapping { net: NetId(0), node_address: NO_NODE, ..config().table.mappings()[1] };
+    let table = Arc::new(Table::new(Header::default(), nets, vec![device]));
+    let mut looks = Looks::of(Config { table, ..config() });
+    looks.ask(MappingId(0), 1, false);
+    assert_eq!(looks.look(10).await, ["node_silent: drive-7 is silent"]);
+    looks.ask(MappingId(0), 31, true);
+    assert_eq!(looks.look(35).await, ["node_answers: drive-7 answers again after 34s"]);
 }
 
 /// A million forged sources that are all throttled make a few events, which say how many there were.

@@ -6,7 +6,7 @@ use std::time::{Duration, SystemTime};
 use crate::config::runs;
 use crate::datapath::{ActiveConfig, Router, Throttling};
 use crate::logging::audit;
-use crate::nat::{NetId, ThrottleScope};
+use crate::nat::{NO_NODE, NetId, ThrottleScope};
 use crate::observe::Journal;
 use crate::observe::events::{Event, EventKind};
 use crate::observe::totals::{Contact, Presence};
@@ -98,8 +98,8 @@ impl Watch {
                 }
             }
             let event = |kind, time, nodes: &[(u8, Duration)], what: &str| {
-                let (node, who) = subject(nodes);
-                let text = format!("{who} of {name} {what}");
+                let (node, who) = subject(name, nodes);
+                let text = format!("{who} {what}");
                 Event { number: 0, time, kind, net: Some(name.clone()), node, text }
             };
             for nodes in shared(&fell_silent) {
@@ -206,14 +206,18 @@ fn shared<T>(all: &[T]) -> impl Iterator<Item = &[T]> {
     all.chunks(if all.len() > FEW { all.len() } else { 1 })
 }
 
-/// The node, if there is only one, and "node 3" or "5 nodes (1-4, 33)".
-fn subject(nodes: &[(u8, Duration)]) -> (Option<u8>, String) {
-    if let [(node, _)] = nodes {
-        return (Some(*node), format!("node {node}"));
+/// The node, if there is only one, and "node 3 of section-1" or "5 nodes (1-4, 33) of section-1". A
+/// PROFINET device is a net by itself.
+fn subject(net: &str, nodes: &[(u8, Duration)]) -> (Option<u8>, String) {
+    match nodes {
+        [(NO_NODE, _)] => (Some(NO_NODE), net.to_owned()),
+        [(node, _)] => (Some(*node), format!("node {node} of {net}")),
+        nodes => {
+            let mut addresses: Vec<_> = nodes.iter().map(|(node, _)| u16::from(*node)).collect();
+            addresses.sort_unstable();
+            (None, format!("{} nodes ({}) of {net}", nodes.len(), runs(&addresses)))
+        }
     }
-    let mut addresses: Vec<_> = nodes.iter().map(|(node, _)| u16::from(*node)).collect();
-    addresses.sort_unstable();
-    (None, format!("{} nodes ({})", nodes.len(), runs(&addresses)))
 }
 
 fn whole_seconds(time: Duration) -> humantime::FormattedDuration {

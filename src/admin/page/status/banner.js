@@ -57,7 +57,7 @@ function showLinks(silent) {
   const before = links;
   links = new Map();
   for (const [name, node] of shown) {
-    const text = `${name}, node ${node}`;
+    const text = node === NO_NODE ? name : `${name}, node ${node}`;
     let link = before.get(text);
     if (!link) {
       link = make("button", { type: "button" }, text);

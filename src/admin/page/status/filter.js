@@ -8,7 +8,8 @@ let directoryOf = ""; // the configuration that it is of
  * stands in the net's name, in an address, or in the state. */
 function isWanted(net, node, state) {
   const { local_address: local, public_port: port, server } = node;
-  const text = `${net} node ${node.node} ${local ? `${local}:` : ""}${port} ${server} ${state}`.toLowerCase();
+  const what = node.node === NO_NODE ? "device" : `node ${node.node}`;
+  const text = `${net} ${what} ${local ? `${local}:` : ""}${port} ${server} ${state}`.toLowerCase();
   return filterWords.every((word) =>
     (/^\d+$/.test(word) ? [node.node, port].includes(Number(word)) : text.includes(word)));
 }

@@ -62,7 +62,7 @@ class NodeRow {
     this.node = node.node;
     const at = node.local_address === null ? "" : `${node.local_address}:`;
     const place = make("small", {}, `${at}${node.public_port} → ${node.server}`);
-    const head = make("th", { scope: "row" }, `${node.node}`, place);
+    const head = make("th", { scope: "row" }, nodeAddress(node.node), place);
     this.mark = make("span", { "aria-hidden": "true" });
     this.word = make("span");
     this.since = make("small");
@@ -74,7 +74,7 @@ class NodeRow {
     this.row = make("tr", { "data-node": node.node }, head, this.state, this.strip.cell, ...this.figures);
     this.rows = [this.row];
     if (!canProbe) return;
-    this.button = make("button", { type: "button", "aria-label": `Probe node ${node.node} of ${net}` }, "Probe");
+    this.button = make("button", { type: "button", "aria-label": `Probe ${nodeOf(net, node.node)}` }, "Probe");
     this.button.addEventListener("click", () => this.probe());
     place.before(this.button);
   }

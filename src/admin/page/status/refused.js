@@ -7,7 +7,7 @@ let refusedKey = null; // what had been dropped then
 
 /** What a sender did, in words. */
 function offence({ net, node, reason }) {
-  const of = node === null ? net : `node ${node} of ${net}`;
+  const of = nodeOf(net, node);
   return {
     source_not_allowed: `is not in allow of ${net}`,
     password_missing: `sends no password to ${of}`,

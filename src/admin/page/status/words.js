@@ -31,6 +31,12 @@ function octets(count) {
 const counted = (count, one, many = `${one}s`) => `${whole.format(count)} ${count === 1 ? one : many}`;
 const nodes = (count) => counted(count, "node");
 
+/** What the relay has as the node address of a PROFINET device, which has none. */
+const NO_NODE = 0;
+
+const nodeAddress = (node) => (node === NO_NODE ? "–" : `${node}`);
+const nodeOf = (net, node) => (node === NO_NODE ? net : `node ${node} of ${net}`);
+
 /** Node addresses, those in a row as a range: 1–4, 33. */
 function ranges(numbers) {
   const sorted = [...new Set(numbers)].sort((a, b) => a - b);
@@ -40,7 +46,7 @@ function ranges(numbers) {
     if (part && part[1] === number - 1) part[1] = number;
     else parts.push([number, number]);
   }
-  return parts.map(([from, to]) => (from === to ? `${from}` : `${from}–${to}`)).join(", ");
+  return parts.map(([from, to]) => (from === to ? nodeAddress(from) : `${from}–${to}`)).join(", ");
 }
 
 /** Seconds of the relay's clock where `performance.now()` is 0. */
