@@ -44,7 +44,9 @@ fn an_unreachable_subnet() {
             let failed = sections.way_is_gone();
             sections.only_section_1_is_hurt(30);
             sections.relay.expect_drops(&[("request", "send_failed", failed + 30)]);
-            let complaint = sections.relay.process.logged("cannot send to a server").remove(0);
+            let complaint = eventually("it is told", || {
+                sections.relay.process.logged("cannot send to a server").into_iter().next()
+            });
             let error = complaint["error"].as_str().unwrap();
             assert!(error.contains(&format!("os error {errno}")), "{error}");
 
