@@ -225,6 +225,7 @@ mod tests {
 
     use super::*;
     use crate::config::fixture::config;
+    use crate::nat::NetKind;
 
     #[test]
     fn the_same_is_no_change() {
@@ -237,6 +238,18 @@ mod tests {
             [("a", 1), ("a", 2), ("a", 3), ("a", 5), ("b", 6), ("c", 7), ("c", 8), ("d", NO_NODE)];
         assert_eq!(by_net(&nodes), ["a: 1-3, 5", "b: 6", "c: 7-8", "d"]);
         assert_eq!(by_net(&[]), [""; 0]);
+    }
+
+    /// The same port leads to the same server, but the flows are closed.
+    #[test]
+    fn another_kind_of_net_is_told() {
+        let old = config();
+        let mut nets = old.table.nets().to_vec();
+        nets[1].kind = NetKind::UdpRange { start_port: 20193 };
+        let table = Table::new(old.table.header, nets, old.table.mappings().to_vec());
+        let new = Config { table: Arc::new(table), ..old.clone() };
+        let expected = Changes { nets_changed: vec!["press".into()], ..Changes::default() };
+        assert_eq!(Changes::between(&old, &new), expected);
     }
 
     #[test]
