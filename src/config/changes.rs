@@ -54,7 +54,7 @@ impl Display for NotInForce {
 impl Changes {
     /// What is different in `new`.
     pub fn between(old: &Config, new: &Config) -> Self {
-        let nets = Difference::of(&nets(old), &nets(new), |old, new| old.is_same(new));
+        let nets = Difference::of(&nets(old), &nets(new), NetRules::is_same);
         let mappings = Difference::of(&mappings(&old.table), &mappings(&new.table), same_way);
         let passwords = |old: &&Credential, new: &&Credential| same_passwords(old, new);
         let credentials =

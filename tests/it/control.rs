@@ -171,6 +171,7 @@ fn a_file_with_faults_is_not_given_to_the_relay() {
     for part in ["alow", "did you mean", "1-500", "the relay was not asked"] {
         assert!(stderr.contains(part), "{stderr}");
     }
+    assert_eq!(relay.process.logged("reload failed").len(), 0);
 
     // What is wrong with a password file is the relay's to say, since it may be the only one to read it.
     relay.configure(&sound.replace("secrets/section-1", "secrets/absent"));
