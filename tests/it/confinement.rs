@@ -5,14 +5,16 @@ use std::fs;
 use std::os::unix::fs::{MetadataExt, PermissionsExt, chown};
 use std::os::unix::process::ExitStatusExt;
 use std::process::Command;
+use std::time::Duration;
 
 use nix::sys::signal::Signal;
 use nix::unistd::geteuid;
 use serde_json::{Value, json};
-use tempfile::TempDir;
+use tempfile::{NamedTempFile, TempDir};
 
 use crate::harness::{
-    Process, Relay, Settings, Site, eventually, exchange, folder, left_out, pnet_nat,
+    Network, Process, Relay, Settings, Site, eventually, exchange, folder, left_out, pnet_nat,
+    request,
 };
 
 /// A line of each thread's status in /proc, with the thread's name.
@@ -85,6 +87,50 @@ fn every_thread_is_confined_and_every_exchange_works() {
     assert!(metrics.sum("process_open_fds", &[]) > 5, "it can still count what is its own");
     assert!(metrics.sum("process_threads", &[]) >= 4);
     relay.finish();
+}
+
+/// Who does not look at the outcome of a call would not notice that the filter refuses it.
+#[test]
+fn a_relay_makes_no_call_that_is_refused() {
+    if Command::new("strace").arg("--version").output().is_err() {
+        return left_out("strace");
+    }
+    let Some(network) = Network::build() else { return };
+    network.at_the_edge(|| {
+        let place = network.place(r#"["198.51.100.1"]"#);
+        let configuration = place.configuration(&Settings::default());
+        let trace = NamedTempFile::new().unwrap();
+        let relay = Relay::start_as(&configuration, place.admin, |arguments| {
+            let relay = pnet_nat(arguments);
+            let mut command = Command::new("strace");
+            // The relay is the child of this process, and strace watches it from beside.
+            command.args(["--daemonize", "--follow-forks", "--failed-only", "--output"]);
+            command.arg(trace.path()).arg(relay.get_program()).args(relay.get_args());
+            command
+        });
+        let (client, node) = (network.client("198.51.100.7"), network.node(4));
+        let refused = network.client("198.51.100.8");
+        for host in 1..4 {
+            exchange(&client, network.public("198.51.100.1", 4), &node, 4);
+            refused.send(network.public("198.51.100.1", 4), b"no password");
+            network.edge.ip(&format!("route add 203.0.113.{host}/32 dev eth1"));
+            relay.reload();
+            relay.configure(&configuration.replace("allow", "# another one\nallow"));
+        }
+        network.edge.ip("link set eth1 down");
+        network.edge.ip("link set eth1 up");
+        eventually("the way is found again", || {
+            client.send(network.public("198.51.100.1", 4), &request(4));
+            node.receive_within(Duration::from_millis(300))
+        });
+        relay.at_rest();
+        relay.finish();
+        let ended =
+            || fs::read_to_string(trace.path()).ok().filter(|text| text.contains("+++ exited"));
+        let calls = eventually("strace has written all", ended);
+        let refused: Vec<_> = calls.lines().filter(|line| line.contains("EPERM")).collect();
+        assert_eq!(refused, [""; 0]);
+    });
 }
 
 /// The kernel writes a core of a relay that keeps its privileges, and none of one that does not.

@@ -5,12 +5,12 @@ use std::io;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::os::fd::{AsRawFd, OwnedFd};
 use std::sync::{Arc, Weak};
+use std::thread;
 use std::time::Duration;
 
 use nix::errno::Errno;
 use nix::ifaddrs::{InterfaceAddress, getifaddrs};
 use nix::net::if_::InterfaceFlags;
-use nix::poll::{PollTimeout, poll};
 use nix::sys::socket::{
     AddressFamily, MsgFlags, NetlinkAddr, SockFlag, SockProtocol, SockType, bind, recv, socket,
 };
@@ -23,7 +23,7 @@ use crate::datapath::socket::sys::options;
 /// The kinds of interfaces whose frames have hardware addresses (`ARPHRD_ETHER`, `ARPHRD_LOOPBACK`).
 const ETHERNET: u16 = 1;
 const LOOPBACK: u16 = 772;
-/// Changes come in groups; within this time they count as one.
+/// Changes come in groups; those within this time are followed together.
 const PAUSE: Duration = Duration::from_millis(200);
 
 /// An interface.
@@ -102,20 +102,34 @@ impl Changes {
 
     /// Follows the changes as long as there is a router.
     pub(super) fn follow(self, offload: &Weak<Offload>, ports: &Arc<Ports>) {
-        let mut told = [0; 8192];
         loop {
-            // What changed does not matter, nor that the kernel had no room to tell all of it.
-            match recv(self.0.as_raw_fd(), &mut told, MsgFlags::empty()) {
-                Ok(_) | Err(Errno::ENOBUFS | Errno::EINTR) => {}
-                Err(error) => {
-                    tracing::warn!(%error, "cannot hear of changes of interfaces");
-                    return;
-                }
+            if let Err(error) = self.wait_for_group() {
+                tracing::warn!(%error, "cannot hear of changes of interfaces");
+                return;
             }
             let Some(offload) = offload.upgrade() else { return };
             offload.follow_interfaces(ports);
             drop(offload);
-            let _ = poll(&mut [], PollTimeout::try_from(PAUSE).unwrap_or(PollTimeout::ZERO));
+            #[expect(
+                clippy::disallowed_methods,
+                reason = "what comes meanwhile waits in the socket"
+            )]
+            thread::sleep(PAUSE);
+        }
+    }
+
+    /// Waits for a change and takes all that the kernel has told by then. What changed does not matter, nor
+    /// that the kernel had no room to tell all of it.
+    fn wait_for_group(&self) -> io::Result<()> {
+        let mut told = [0; 8192];
+        let mut flags = MsgFlags::empty();
+        loop {
+            match recv(self.0.as_raw_fd(), &mut told, flags) {
+                Ok(_) | Err(Errno::ENOBUFS) => flags = MsgFlags::MSG_DONTWAIT,
+                Err(Errno::EINTR) => {}
+                Err(Errno::EAGAIN) => return Ok(()),
+                Err(error) => return Err(error.into()),
+            }
         }
     }
 }
