@@ -13,8 +13,8 @@ use serde_json::{Value, json};
 use tempfile::{NamedTempFile, TempDir};
 
 use crate::harness::{
-    Network, Process, Relay, Settings, Site, eventually, exchange, folder, left_out, pnet_nat,
-    request,
+    Network, Place, Process, Relay, Settings, Site, eventually, exchange, folder, left_out,
+    pnet_nat, request,
 };
 
 /// A line of each thread's status in /proc, with the thread's name.
@@ -97,10 +97,11 @@ fn a_relay_makes_no_call_that_is_refused() {
     }
     let Some(network) = Network::build() else { return };
     network.at_the_edge(|| {
-        let place = network.place(r#"["198.51.100.1"]"#);
-        let configuration = place.configuration(&Settings::default());
+        let place = |start_port| Place { start_port, ..network.place(r#"["198.51.100.1"]"#) };
+        let [usual, other] =
+            [20_000, 21_000].map(|at| place(at).configuration(&Settings::default()));
         let trace = NamedTempFile::new().unwrap();
-        let relay = Relay::start_as(&configuration, place.admin, |arguments| {
+        let relay = Relay::start_as(&usual, place(20_000).admin, |arguments| {
             let relay = pnet_nat(arguments);
             let mut command = Command::new("strace");
             // The relay is the child of this process, and strace watches it from beside.
@@ -109,26 +110,28 @@ fn a_relay_makes_no_call_that_is_refused() {
             command
         });
         let (client, node) = (network.client("198.51.100.7"), network.node(4));
-        let refused = network.client("198.51.100.8");
-        for host in 1..4 {
-            exchange(&client, network.public("198.51.100.1", 4), &node, 4);
-            refused.send(network.public("198.51.100.1", 4), b"no password");
-            network.edge.ip(&format!("route add 203.0.113.{host}/32 dev eth1"));
-            relay.reload();
-            relay.configure(&configuration.replace("allow", "# another one\nallow"));
+        let stranger = network.client("198.51.100.8");
+        let public = network.public("198.51.100.1", 4);
+        for _ in 0..3 {
+            exchange(&client, public, &node, 4);
         }
-        network.edge.ip("link set eth1 down");
-        network.edge.ip("link set eth1 up");
+        stranger.send(public, b"no password");
+        network.edge.ip("route add 203.0.113.1/32 dev eth1
+             link set eth1 down
+             link set eth1 up");
+        relay.reload_to(&other);
+        relay.reload_to(&usual);
         eventually("the way is found again", || {
-            client.send(network.public("198.51.100.1", 4), &request(4));
+            client.send(public, &request(4));
             node.receive_within(Duration::from_millis(300))
         });
         relay.at_rest();
+        let ended = format!("{} +++ exited with 0 +++", relay.process.id());
         relay.finish();
-        let ended =
-            || fs::read_to_string(trace.path()).ok().filter(|text| text.contains("+++ exited"));
-        let calls = eventually("strace has written all", ended);
-        let refused: Vec<_> = calls.lines().filter(|line| line.contains("EPERM")).collect();
+        let calls = eventually("strace has written all", || {
+            fs::read_to_string(trace.path()).ok().filter(|calls| calls.contains(&ended))
+        });
+        let refused: Vec<_> = calls.lines().filter(|call| call.contains(" EPERM ")).collect();
         assert_eq!(refused, [""; 0]);
     });
 }
