@@ -126,7 +126,7 @@ fn a_relay_makes_no_call_that_is_refused() {
             node.receive_within(Duration::from_millis(300))
         });
         relay.at_rest();
-        let ended = format!("{} +++ exited with 0 +++", relay.process.id());
+        let ended = format!("{:<5} +++ exited with 0 +++", relay.process.id());
         relay.finish();
         let calls = eventually("strace has written all", || {
             fs::read_to_string(trace.path()).ok().filter(|calls| calls.contains(&ended))
